@@ -1,0 +1,36 @@
+"""Errors that name the place, what was expected, and the mend."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class InputError(ValueError):
+    """Bad input from a person: a file, an option, a channel. The command line ends with exit code 2."""
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        file: object = None,
+        line: int | None = None,
+        channel: str | None = None,
+        mend: str = "",
+    ):
+        self.problem, self.file, self.line, self.channel, self.mend = problem, file, line, channel, mend
+        place = ", ".join(
+            ([str(file)] if file is not None else [])
+            + ([f"line {line}"] if line is not None else [])
+            + ([f"channel {channel}"] if channel else [])
+        )
+        message = f"{place}: {problem}" if place else problem
+        super().__init__(f"{message}\n  mend: {mend}" if mend else message)
+
+
+def check_known(kind: str, name: str, known: Iterable[str], *, file: object = None) -> str:
+    """Return `name` if it is one of `known`; otherwise refuse it with the nearest match."""
+    known = list(known)
+    if name in known:
+        return name
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    mend = f"did you mean {near[0]!r}? known: {', '.join(known)}" if near else f"known: {', '.join(known)}"
+    raise InputError(f"unknown {kind} {name!r}", file=file, mend=mend)

@@ -1,0 +1,68 @@
+"""Files that are whole or absent: everything is written to a temporary name and then renamed."""
+
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.errors import InputError
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write `text` (UTF-8) so that `path` holds either all of it or what it held before."""
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as reason:
+        raise InputError(f"cannot write: {reason.strerror}", file=path, mend="choose another --out folder") from None
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as reason:
+        raise InputError(
+            f"cannot write: {reason.strerror}", file=path, mend="free some space or choose --out"
+        ) from None
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+    return path
+
+
+def write_json(path: str | Path, content: Any) -> Path:
+    """Write plain numbers, lists and dictionaries; arrays become lists; NaN is refused."""
+    return write_text(path, json.dumps(content, default=_plain, indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file; a broken one is refused with its line."""
+    path = Path(path)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as reason:
+        raise InputError(f"not JSON: {reason.msg}", file=path, line=reason.lineno, mend="is the file whole?") from None
+    except UnicodeDecodeError:
+        raise InputError("not a text file", file=path, mend="expected JSON in UTF-8") from None
+    except OSError as reason:
+        raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
+
+
+def sha256(path: str | Path) -> str:
+    """Hash of a file's content, as quoted in provenance."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"cannot write {type(value).__name__} as JSON")
