@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -35,8 +36,10 @@ def write_text(path: str | Path, text: str) -> Path:
 
 
 def write_json(path: str | Path, content: Any) -> Path:
-    """Write plain numbers, lists and dictionaries; arrays become lists; NaN is refused."""
-    return write_text(path, json.dumps(content, default=_plain, indent=1, allow_nan=False) + "\n")
+    """Write plain numbers, lists and dictionaries; arrays become lists, a row a line; NaN is refused."""
+    text = json.dumps(content, default=_plain, indent=1, allow_nan=False)
+    rows = re.sub(r"\[[^\[\]{}\"]*\]", lambda row: " ".join(row.group().split()), text)
+    return write_text(path, rows + "\n")
 
 
 def read_json(path: str | Path) -> Any:

@@ -1,0 +1,396 @@
+"""One representation for every identified model: linear parameter-varying state space, expanded in a basis.
+
+    x(k+1) = A(k) x(k) + B(k) (u(k) - u0(rho(k)))
+    y(k)   = C(k) x(k) + D(k) (u(k) - u0(rho(k))) + y0(rho(k))
+    M(k)   = sum_j M_j phi_j(rho(k - d_j))        for M in A, B, C, D, and the predictor's F, G, K
+
+LTI is one constant term. ILM has block-diagonal A and C weighted by activation functions. SSM uses delayed values of
+the schedule, so a term is a basis function together with a delay d_j >= 0 in samples.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from workbench.data import Channel, Experiment
+from workbench.errors import InputError, check_known
+from workbench.files import read_json, write_json
+from workbench.records import field, record
+
+if TYPE_CHECKING:
+    import control
+
+SCHEMA = "gain-scheduling-workbench/lpv-model"
+VERSION = 1
+
+
+@record
+class Powers:
+    """phi_j(rho) = (rho / scale)^exponent_j; exponents may be negative, then the schedule must not cross zero."""
+
+    exponents: np.ndarray = field("m", default=(0.0,))
+    scale: float = field("", low=1e-300, default=1.0)
+
+    def __call__(self, rho: np.ndarray) -> np.ndarray:
+        return (np.asarray(rho, dtype=float)[..., None] / self.scale) ** self.exponents
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple("1" if e == 0 else "rho" if e == 1 else f"rho^{e:g}" for e in self.exponents)
+
+
+@record
+class Gaussian:
+    """phi_j(rho) = exp(-beta_j (rho - centre_j)^2); `normalised` divides by their sum, so that they add up to one."""
+
+    centres: np.ndarray = field("m")
+    beta: np.ndarray = field("m", low=0.0)
+    normalised: bool = False
+
+    def __call__(self, rho: np.ndarray) -> np.ndarray:
+        exponent = -self.beta * (np.asarray(rho, dtype=float)[..., None] - self.centres) ** 2
+        if not self.normalised:
+            return np.exp(exponent)
+        # far from every centre all of them underflow: the quotient does not when the largest is taken out first
+        weight = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
+        return weight / weight.sum(axis=-1, keepdims=True)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"g({c:.4g})" for c in self.centres)
+
+
+@record
+class PiecewiseLinear:
+    """phi_j(rho) is 1 at knot_j, 0 at every other knot, linear between, constant outside the first and last knot."""
+
+    knots: np.ndarray = field("m")
+
+    def __post_init__(self):
+        if np.any(np.diff(self.knots) <= 0):
+            raise InputError("knots must increase")
+
+    def __call__(self, rho: np.ndarray) -> np.ndarray:
+        rho = np.asarray(rho, dtype=float)
+        return np.stack([np.interp(rho, self.knots, unit) for unit in np.eye(len(self.knots))], axis=-1)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"hat({k:.4g})" for k in self.knots)
+
+
+Basis = Powers | Gaussian | PiecewiseLinear
+BASES: dict[str, type] = {"powers": Powers, "gaussian": Gaussian, "piecewise-linear": PiecewiseLinear}
+CONSTANT = Powers()
+
+
+@record
+class Term:
+    """phi_j(rho(k - delay)): one basis function at one delay in samples."""
+
+    function: int
+    delay: int = 0
+
+
+@record
+class OperatingPoint:
+    """u0(rho) = sum_j u_j phi_j(rho), y0 likewise: the signals around which the model's deviations are taken."""
+
+    basis: Basis = field()
+    u: np.ndarray = field("m nu")
+    y: np.ndarray = field("m ny")
+
+
+@record
+class Predictor:
+    """x(k+1) = F x(k) + G (u - u0) + K (y - y0): the one-step predictor that belongs to a model; F, G, K by term."""
+
+    F: np.ndarray = field("nt nx nx")
+    G: np.ndarray = field("nt nx nu")
+    K: np.ndarray = field("nt nx ny")
+    warmup: int = 20  # samples after which the predictor has forgotten its initial state
+
+
+@record
+class Estimate:
+    """One estimated quantity with its standard deviation and, where a bound on the noise is known, its interval."""
+
+    name: str
+    value: float = field("")
+    std: float = field("", low=0.0)
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+
+
+@record
+class Stability:
+    """Largest spectral radius of the frozen A over the schedule range, and the schedule value where it occurs."""
+
+    radius: float
+    at: float
+
+    @property
+    def stable(self) -> bool:
+        return self.radius < 1.0
+
+
+@record
+class LPVModel:
+    """x+ = A(rho) x + B(rho) u, y = C(rho) x + D(rho) u in deviations from the operating point; see the module.
+
+    Shapes: A (nt, nx, nx), B (nt, nx, nu), C (nt, ny, nx), D (nt, ny, nu), one slice per term. `span` is the schedule
+    range [low, high] of the estimation records; outside it the model holds the edge value of its basis functions.
+    """
+
+    name: str
+    dt: float = field("", unit="s", low=0.0)
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    schedule: Channel | None
+    span: np.ndarray = field("2")
+    basis: Basis = field()
+    terms: tuple[Term, ...]
+    A: np.ndarray = field("nt nx nx")
+    B: np.ndarray = field("nt nx nu")
+    C: np.ndarray = field("nt ny nx")
+    D: np.ndarray = field("nt ny nu")
+    operating_point: OperatingPoint = field()
+    predictor: Predictor | None = None
+    noise: np.ndarray | None = None  # (ny, ny) covariance of the one-step prediction error
+    estimates: tuple[Estimate, ...] = ()
+    notes: tuple[str, ...] = ()  # what a user must know before using the model, in plain words
+
+    def __post_init__(self):
+        if len(self.terms) != self.A.shape[0]:
+            raise InputError(f"{len(self.terms)} terms for {self.A.shape[0]} matrices", file=self.name)
+        if len(self.inputs) != self.B.shape[2] or len(self.outputs) != self.C.shape[1]:
+            raise InputError("channel lists do not match B and C", file=self.name)
+
+    @property
+    def order(self) -> int:
+        return self.A.shape[1]
+
+    # ---- the schedule -------------------------------------------------------------------------------------------
+
+    def schedule_of(self, experiment: Experiment) -> np.ndarray:
+        """rho(k), (N,), clipped to the model's span; zeros for a model without schedule."""
+        if self.schedule is None:
+            return np.zeros(len(experiment))
+        return np.clip(experiment[self.schedule.name], *self.span)
+
+    def weights(self, rho: np.ndarray) -> np.ndarray:
+        """phi_j(rho(k - d_j)), (N, nt); before the first sample the schedule holds its first value."""
+        phi = self.basis(rho)
+        index = np.arange(len(rho))
+        return np.stack([phi[np.maximum(index - term.delay, 0), term.function] for term in self.terms], axis=-1)
+
+    def freeze(self, rho: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C, D at a constant schedule value."""
+        weight = self.weights(np.array([np.clip(rho, *self.span)]))[0]
+        return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
+
+    def to_control(self, rho: float = 0.0) -> "control.StateSpace":
+        """The frozen model as a discrete python-control system with our channel names."""
+        import control  # takes a second to import, and only this needs it
+
+        return control.StateSpace(
+            *self.freeze(rho),
+            self.dt,
+            name=f"{self.name} at {rho:g}",
+            inputs=[c.name for c in self.inputs],
+            outputs=[c.name for c in self.outputs],
+        )
+
+    def stability(self, points: int = 101) -> Stability:
+        """Spectral radius of the frozen A on a grid over the span."""
+        grid = np.linspace(self.span[0], self.span[1], points)
+        radii = [np.abs(np.linalg.eigvals(self.freeze(rho)[0])).max(initial=0.0) for rho in grid]
+        return Stability(float(np.max(radii)), float(grid[np.argmax(radii)]))
+
+    # ---- simulation and prediction -----------------------------------------------------------------------------------
+
+    def simulate(self, experiment: Experiment, *, warmup: int | None = None) -> np.ndarray:
+        """Free run: the outputs (N, ny) from the measured inputs and schedule alone.
+
+        The initial state comes from the first `warmup` samples: the predictor follows the measured outputs for so long
+        and is then cut off. Rows before that are predictions, not simulation; score only rows from `warmup` on.
+        Default: the predictor's own memory; 0 starts from the operating point.
+        """
+        u, y, weight = self._deviations(experiment)
+        n = (self.predictor.warmup if self.predictor else 0) if warmup is None else warmup
+        x = self._predictor_states(u[:n], y[:n], weight[:n])
+        out = np.empty((len(u), len(self.outputs)))
+        state = x[-1]
+        for k0, A, B, C, D in self._slices(weight, self.A, self.B, self.C, self.D):
+            for i in range(len(A)):
+                k = k0 + i
+                if k < n:
+                    out[k] = C[i] @ x[k] + D[i] @ u[k]
+                    continue
+                out[k] = C[i] @ state + D[i] @ u[k]
+                state = A[i] @ state + B[i] @ u[k]
+        return out + self._output_offset(experiment)
+
+    def predict(self, experiment: Experiment, steps: int = 1) -> np.ndarray:
+        """y(k | k - steps): from the predictor's state at k - steps + 1 and the inputs since; (N, ny).
+
+        steps = 1 uses the measured outputs up to k - 1. The first steps - 1 rows start from the initial state.
+        """
+        u, y, weight = self._deviations(experiment)
+        x = self._predictor_states(u, y, weight)[:-1]
+        N = len(u)
+        out = np.empty((N, len(self.outputs)))
+        blocks = [(k0, *block) for k0, *block in self._slices(weight, self.A, self.B, self.C, self.D)]
+        A, B, C, D = (np.concatenate([b[i] for b in blocks]) for i in (1, 2, 3, 4))
+        for j in range(steps):
+            # here x[i] is the state at time i + j that the predictor of time i leads to
+            early = np.arange(min(1, N)) if j < steps - 1 else np.arange(N - j)
+            k = early + j
+            out[k] = np.einsum("kyx,kx->ky", C[k], x[early]) + np.einsum("kyu,ku->ky", D[k], u[k])
+            if j < steps - 1:
+                k = np.arange(N - j - 1) + j
+                x = np.einsum("kzx,kx->kz", A[k], x[: N - j - 1]) + np.einsum("kzu,ku->kz", B[k], u[k])
+        return out + self._output_offset(experiment)
+
+    def _deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if abs(experiment.dt - self.dt) > 1e-6 * self.dt:
+            raise InputError(
+                f"sample time {experiment.dt:g} s, the model has {self.dt:g} s",
+                file=experiment.name,
+                mend="resample the record",
+            )
+        rho = self.schedule_of(experiment)
+        phi = self.operating_point.basis(rho)
+        u = experiment[[c.name for c in self.inputs]] - phi @ self.operating_point.u
+        y = experiment[[c.name for c in self.outputs]] - phi @ self.operating_point.y
+        return u, y, self.weights(rho)
+
+    def _output_offset(self, experiment: Experiment) -> np.ndarray:
+        return self.operating_point.basis(self.schedule_of(experiment)) @ self.operating_point.y
+
+    def _slices(self, weight: np.ndarray, *matrices: np.ndarray, chunk: int = 4096):
+        """Scheduled matrices M(k) for chunks of samples, so that long records do not fill the memory."""
+        for k0 in range(0, len(weight), chunk):
+            w = weight[k0 : k0 + chunk]
+            yield k0, *(np.tensordot(w, M, 1) for M in matrices)
+
+    def _predictor_states(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """States (N + 1, nx) of the one-step predictor started at zero; row k has seen y(0..k-1)."""
+        x = np.zeros((len(u) + 1, self.order))
+        if self.predictor is None:
+            if len(u):
+                raise InputError("this model has no predictor, so it cannot follow measured outputs", file=self.name)
+            return x
+        for k0, F, G, K in self._slices(weight, self.predictor.F, self.predictor.G, self.predictor.K):
+            for i in range(len(F)):
+                k = k0 + i
+                x[k + 1] = F[i] @ x[k] + G[i] @ u[k] + K[i] @ y[k]
+        return x
+
+    # ---- files ------------------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, readable without the package; one entry per term."""
+        return {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "name": self.name,
+            "dt": self.dt,
+            "inputs": [vars(c) for c in self.inputs],
+            "outputs": [vars(c) for c in self.outputs],
+            "schedule": vars(self.schedule) if self.schedule else None,
+            "span": self.span,
+            "basis": _basis_to_dict(self.basis),
+            "operating_point": {
+                "basis": _basis_to_dict(self.operating_point.basis),
+                "u": self.operating_point.u,
+                "y": self.operating_point.y,
+            },
+            "predictor_warmup": self.predictor.warmup if self.predictor else None,
+            "terms": [
+                {"function": self.basis.names[term.function], "delay": term.delay}
+                | {key: M[j] for key, M in self._matrices().items()}
+                for j, term in enumerate(self.terms)
+            ],
+            "noise": self.noise,
+            "estimates": [vars(e) for e in self.estimates],
+            "notes": list(self.notes),
+        }
+
+    def _matrices(self) -> dict[str, np.ndarray]:
+        own = {"A": self.A, "B": self.B, "C": self.C, "D": self.D}
+        return own | ({"F": self.predictor.F, "G": self.predictor.G, "K": self.predictor.K} if self.predictor else {})
+
+    def save(self, path) -> None:
+        """Write the model as JSON (schema and version inside)."""
+        write_json(path, self.to_dict())
+
+
+def load_model(path) -> LPVModel:
+    """Read a model file written by `LPVModel.save`; what is missing or foreign is named."""
+    content = read_json(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError("not an LPV model", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
+    if content.get("version") != VERSION:
+        raise InputError(f"model version {content.get('version')}, this program reads {VERSION}", file=path)
+    try:
+        return _from_dict(content)
+    except KeyError as reason:
+        raise InputError(f"field {reason.args[0]!r} is missing", file=path, mend="write the model again") from None
+    except (TypeError, ValueError) as reason:
+        raise InputError(f"malformed model: {reason}", file=path, mend="write the model again") from None
+
+
+def _from_dict(content: dict[str, Any]) -> LPVModel:
+    basis = _basis_from_dict(content["basis"])
+    terms = content["terms"]
+    stacked = {key: np.array([term[key] for term in terms], dtype=float) for key in "ABCD"}
+    warmup = content["predictor_warmup"]
+    predictor = None
+    if warmup is not None:
+        predictor = Predictor(*(np.array([term[key] for term in terms]) for key in "FGK"), warmup=warmup)
+    point = content["operating_point"]
+    return LPVModel(
+        name=content["name"],
+        dt=content["dt"],
+        inputs=tuple(Channel(**c) for c in content["inputs"]),
+        outputs=tuple(Channel(**c) for c in content["outputs"]),
+        schedule=Channel(**content["schedule"]) if content["schedule"] else None,
+        span=content["span"],
+        basis=basis,
+        terms=tuple(Term(basis.names.index(term["function"]), term["delay"]) for term in terms),
+        operating_point=OperatingPoint(_basis_from_dict(point["basis"]), point["u"], point["y"]),
+        predictor=predictor,
+        noise=None if content["noise"] is None else np.array(content["noise"]),
+        estimates=tuple(Estimate(**e) for e in content["estimates"]),
+        notes=tuple(content["notes"]),
+        **stacked,
+    )
+
+
+def _basis_to_dict(basis: Basis) -> dict[str, Any]:
+    kind = next(kind for kind, cls in BASES.items() if isinstance(basis, cls))
+    return {"kind": kind} | vars(basis)
+
+
+def _basis_from_dict(content: dict[str, Any]) -> Basis:
+    options = dict(content)
+    return BASES[check_known("basis", options.pop("kind"), BASES)](**options)
+
+
+def constant_model(
+    name: str,
+    dt: float,
+    channels: tuple[Sequence[Channel], Sequence[Channel]],
+    matrices: Sequence[np.ndarray],
+    operating_point: OperatingPoint,
+    **rest,
+) -> LPVModel:
+    """An LTI model (A, B, C, D) as an LPV model with one constant term."""
+    A, B, C, D = (np.asarray(M)[None] for M in matrices)
+    return LPVModel(
+        name, dt, tuple(channels[0]), tuple(channels[1]), None, np.zeros(2), CONSTANT, (Term(0),), A, B, C, D,
+        operating_point, **rest,
+    )  # fmt: skip
