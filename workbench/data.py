@@ -4,7 +4,10 @@ Samples first, channels last. Several records are a list and are never concatena
 across the joint of two records.
 """
 
-from collections.abc import Iterator, Sequence
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,6 +16,11 @@ from workbench.errors import InputError, check_known
 from workbench.records import field, record
 
 Role = Literal["time", "input", "output", "schedule", "reference", "other"]
+
+#: A step of time longer than this many sample times is a gap.
+GAP = 1.5
+#: Steps of time that differ from the sample time by less than this share of it are as good as uniform.
+JITTER = 0.01
 
 
 @record
@@ -32,7 +40,7 @@ class Channel:
 
 @record
 class Experiment:
-    """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, the median step of t."""
+    """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, the typical step of t."""
 
     name: str
     t: np.ndarray = field("N", unit="s")
@@ -43,10 +51,59 @@ class Experiment:
     def __post_init__(self):
         names = [channel.name for channel in self.channels]
         if len(names) != self.values.shape[1]:
-            raise InputError(f"{len(names)} channels for {self.values.shape[1]} columns", file=self.name)
+            raise InputError(
+                f"{len(names)} channels for {self.values.shape[1]} columns",
+                file=self.name,
+                mend="name every column once",
+            )
         for name in names:
             if names.count(name) > 1:
                 raise InputError("appears twice", file=self.name, channel=name, mend="give each column its own name")
+        _check_finite(self.name, names, self.values)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        name: str,
+        dt: float,
+        *,
+        inputs: Mapping[str, np.ndarray] | None = None,
+        outputs: Mapping[str, np.ndarray] | None = None,
+        schedule: Mapping[str, np.ndarray] | None = None,
+        references: Mapping[str, np.ndarray] | None = None,
+        other: Mapping[str, np.ndarray] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> "Experiment":
+        """t[k] = k dt: a record from arrays (N,) by channel name, roles by keyword, units by channel name.
+
+        Raises InputError for arrays of different lengths, numbers that are not finite, units of unknown channels.
+        """
+        groups: tuple[tuple[Role, Mapping[str, np.ndarray]], ...] = (
+            ("input", inputs or {}),
+            ("output", outputs or {}),
+            ("schedule", schedule or {}),
+            ("reference", references or {}),
+            ("other", other or {}),
+        )
+        units = units or {}
+        columns = [(key, role, np.asarray(array, float)) for role, group in groups for key, array in group.items()]
+        if not columns:
+            raise InputError("no channels", file=name, mend="give at least one array")
+        for key in units:
+            check_known("channel", key, [column[0] for column in columns], file=name)
+        first, _, reference = columns[0]
+        for key, _, array in columns:
+            if array.ndim != 1 or len(array) != len(reference):
+                raise InputError(
+                    f"shape {array.shape}, expected ({len(reference)},) as in {first}",
+                    file=name,
+                    channel=key,
+                    mend="give one number per sample",
+                )
+        values = np.column_stack([array for _, _, array in columns])
+        _check_finite(name, [column[0] for column in columns], values)
+        channels = tuple(Channel(key, units.get(key, ""), role) for key, role, _ in columns)
+        return cls(name, np.arange(len(reference)) * float(dt), channels, values, dt)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -66,16 +123,108 @@ class Experiment:
             return self.values[:, self.names.index(names)]
         return np.column_stack([self[name] for name in names]) if len(names) else np.empty((len(self), 0))
 
+    def channel(self, name: str) -> Channel:
+        """The channel called `name`; an unknown name is refused with the nearest match."""
+        check_known("channel", name, self.names, file=self.name)
+        return self.channels[self.names.index(name)]
+
+    def with_roles(
+        self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()
+    ) -> "Experiment":
+        """The same record with roles as named.
+
+        A role that is named here belongs to these channels only: who held it before becomes "other". A role that is
+        not named stays as it was. Raises InputError for unknown names (with the nearest match) and two roles at once.
+        """
+        asked: tuple[tuple[Role, Sequence[str]], ...] = (
+            ("input", inputs),
+            ("output", outputs),
+            ("schedule", schedule),
+        )
+        new: dict[str, Role] = {}
+        for role, names in asked:
+            for name in [names] if isinstance(names, str) else names:
+                check_known("channel", name, self.names, file=self.name)
+                if new.setdefault(name, role) != role:
+                    raise InputError(
+                        f"is named as {new[name]} and as {role}", file=self.name, channel=name, mend="name it once"
+                    )
+        taken = set(new.values())
+        channels = tuple(
+            dataclasses.replace(c, role=new.get(c.name, "other" if c.role in taken else c.role)) for c in self.channels
+        )
+        return dataclasses.replace(self, channels=channels)
+
+    def select(self, names: Sequence[str]) -> "Experiment":
+        """The same record with these channels only, in this order."""
+        channels = tuple(self.channel(name) for name in names)
+        return dataclasses.replace(self, channels=channels, values=self[list(names)])
+
+    def trim(self, start: float = -math.inf, stop: float = math.inf) -> "Experiment":
+        """The samples with start <= t < stop [s]; their time stamps stay as they were.
+
+        Half open, so that neighbouring pieces share no sample and lose none. A stamp within a millionth of a sample
+        time of a bound counts as on it. Raises InputError when nothing is left.
+        """
+        slack = 1e-6 * self.dt
+        return self._samples((self.t >= start - slack) & (self.t < stop - slack), f"{start:g} s <= t < {stop:g} s")
+
+    def split(self, time: float) -> tuple["Experiment", "Experiment"]:
+        """The samples with t < time [s], and those with t >= time, as two records."""
+        before, after = self.trim(stop=time), self.trim(start=time)
+        return (
+            dataclasses.replace(before, name=f"{self.name} (before {time:g} s)"),
+            dataclasses.replace(after, name=f"{self.name} (from {time:g} s)"),
+        )
+
+    def resample(self, dt: float, *, interpolate: bool = False) -> "Experiment":
+        """The record at sample time dt [s].
+
+        An integer multiple q of the sample time: new sample k stands for the old samples k q .. k q + q - 1.
+        Measured channels pass a zero-phase anti-aliasing filter (Hamming FIR of 20 q + 1 taps, cut-off at the new
+        Nyquist frequency, odd continuation at the ends: straight lines pass unchanged) and keep the value at k q.
+        Inputs and references are held by the actuator between samples, so they become their mean over the q samples:
+        the integral is kept, and an input that was held over the new sample time passes unchanged. Filtering them
+        as well would smear each step to both sides of the instant at which it acted.
+
+        Any other dt, and uniform stamps for a jittered record, only with `interpolate`: linear between samples for
+        measured channels, last value held for inputs and references; without an anti-aliasing filter.
+        Raises InputError for a gap, for finer sampling or a broken ratio without `interpolate`, for too few samples.
+        """
+        if not (math.isfinite(dt) and dt > 0):
+            raise InputError(f"sample time {dt:g} s, expected a positive number", file=self.name)
+        _check_whole(self)
+        if interpolate:
+            return _interpolated(self, dt)
+        ratio = dt / self.dt
+        q = max(round(ratio), 1)
+        if abs(ratio - q) > 1e-4 * q:
+            raise InputError(
+                f"sample time {dt:g} s is {ratio:.6g} times the record's {self.dt:g} s, expected a whole number",
+                file=self.name,
+                mend=f"use {q * self.dt:g} or {(q + 1) * self.dt:g}, or ask to interpolate (interpolate=True)",
+            )
+        return self if q == 1 else _decimated(self, q)
+
+    def _samples(self, kept: np.ndarray, condition: str) -> "Experiment":
+        if not kept.any():
+            span = f"{self.t[0]:g} s to {self.t[-1]:g} s" if len(self) else "nothing"
+            raise InputError(f"no sample with {condition}", file=self.name, mend=f"the record runs from {span}")
+        return dataclasses.replace(self, t=self.t[kept], values=self.values[kept])
+
 
 @record
 class Dataset:
-    """Several records with the same sample time; never concatenated."""
+    """Several records with the same sample time, channels and roles; never concatenated."""
 
     experiments: tuple[Experiment, ...]
 
     def __post_init__(self):
+        object.__setattr__(self, "experiments", tuple(self.experiments))
         if not self.experiments:
             raise InputError("no records", mend="name at least one file")
+        for experiment in self.experiments[1:]:
+            _check_alike(self.experiments[0], experiment)
 
     def __iter__(self) -> Iterator[Experiment]:
         return iter(self.experiments)
@@ -86,3 +235,174 @@ class Dataset:
     @property
     def dt(self) -> float:
         return self.experiments[0].dt
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the records, in order."""
+        return tuple(experiment.name for experiment in self.experiments)
+
+    def with_roles(
+        self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()
+    ) -> "Dataset":
+        """Every record with roles as named; see `Experiment.with_roles`."""
+        return Dataset(tuple(e.with_roles(inputs, outputs, schedule) for e in self.experiments))
+
+    def split_records(self, names: Iterable[str]) -> tuple["Dataset", "Dataset"]:
+        """The records named, and the rest: say, the held-out records and the estimation records.
+
+        Raises InputError for an unknown name and where either side would be empty.
+        """
+        wanted = {check_known("record", name, self.names) for name in ([names] if isinstance(names, str) else names)}
+        chosen = tuple(e for e in self.experiments if e.name in wanted)
+        rest = tuple(e for e in self.experiments if e.name not in wanted)
+        if not (chosen and rest):
+            raise InputError(
+                "all records were named" if chosen else "no record was named",
+                mend=f"name some of, but not all of: {', '.join(self.names)}",
+            )
+        return Dataset(chosen), Dataset(rest)
+
+
+def segments(experiment: Experiment, mask: np.ndarray, *, shortest: int = 2) -> list[Experiment]:
+    """Every contiguous run of samples where mask (N,) is true, each as its own record; the stamps stay.
+
+    A run ends where the mask turns false and at every gap of the time stamps, so no piece joins samples that were not
+    neighbours. Pieces of fewer than `shortest` samples are dropped. Raises InputError for a mask of another length.
+    """
+    mask = np.asarray(mask, bool)
+    if mask.shape != experiment.t.shape:
+        raise InputError(f"mask of shape {mask.shape}, expected ({len(experiment)},)", file=experiment.name)
+    steps = np.diff(experiment.t)
+    broken = (steps > GAP * experiment.dt) | (steps <= 0) | (mask[1:] != mask[:-1])
+    edges = np.concatenate([[0], np.flatnonzero(broken) + 1, [len(mask)]])
+    pieces = []
+    for first, last in itertools.pairwise(edges):
+        if last - first >= max(shortest, 1) and mask[first]:
+            run = slice(first, last)
+            t = experiment.t[run]
+            name = f"{experiment.name} ({t[0]:.6g} to {t[-1]:.6g} s)"
+            pieces.append(dataclasses.replace(experiment, name=name, t=t, values=experiment.values[run]))
+    return pieces
+
+
+StampFault = Literal["gap", "repeated", "backwards"]
+
+
+@record
+class BadStamp:
+    """A fault of the time stamps: what is wrong between sample index - 1 and sample index."""
+
+    fault: StampFault
+    index: int
+    before: float = field("", unit="s")
+    after: float = field("", unit="s")
+
+
+def bad_stamps(t: np.ndarray, dt: float) -> Iterator[BadStamp]:
+    """t[k] - t[k-1] <= 0 (repeated, backwards) or > 1.5 dt (gap): the faults of the stamps t (N,), in order."""
+    steps = np.diff(t)
+    for k in np.flatnonzero(~((steps > 0) & (steps <= GAP * dt))):
+        fault = "repeated" if steps[k] == 0 else "backwards" if steps[k] < 0 else "gap"
+        yield BadStamp(fault, int(k) + 1, t[k], t[k + 1])
+
+
+def _check_finite(name: str, names: Sequence[str], values: np.ndarray) -> None:
+    if np.isfinite(values).all():
+        return
+    row, column = (int(index) for index in np.argwhere(~np.isfinite(values))[0])
+    raise InputError(
+        f"sample {row + 1} is {values[row, column]}, expected a finite number",
+        file=name,
+        channel=names[column],
+        mend="cut the record there into two, or repair the value",
+    )
+
+
+def _check_alike(first: Experiment, other: Experiment) -> None:
+    pair = f"{first.name} and {other.name}"
+    if abs(other.dt - first.dt) > 1e-3 * first.dt:
+        raise InputError(
+            f"sample times {first.dt:g} s and {other.dt:g} s, expected the same",
+            file=pair,
+            mend=f"resample both to {max(first.dt, other.dt):g} s",
+        )
+    missing = set(first.names) ^ set(other.names)
+    if missing:
+        name = sorted(missing)[0]
+        lacking = other.name if name in first.names else first.name
+        raise InputError(
+            f"not in {lacking}; all records of a set need the same channels",
+            file=pair,
+            channel=", ".join(sorted(missing)),
+            mend="select the channels that all records have",
+        )
+    for channel in first.channels:
+        twin = other.channel(channel.name)
+        if channel.unit and twin.unit and channel.unit != twin.unit:
+            problem = f"units {channel.unit} and {twin.unit}, expected the same"
+            raise InputError(problem, file=pair, channel=channel.name, mend="convert one of them")
+        if channel.role != twin.role:
+            problem = f"is {channel.role} in one and {twin.role} in the other"
+            raise InputError(problem, file=pair, channel=channel.name, mend="name the roles for all records")
+
+
+def _check_whole(experiment: Experiment) -> None:
+    for bad in bad_stamps(experiment.t, experiment.dt):
+        raise InputError(
+            f"time stamps are {bad.fault} between {bad.before:g} s and {bad.after:g} s",
+            file=experiment.name,
+            mend="cut the record there (segments) and resample each piece",
+        )
+
+
+def _held(experiment: Experiment) -> np.ndarray:
+    return np.array([channel.role in ("input", "reference") for channel in experiment.channels], bool)
+
+
+def _decimated(experiment: Experiment, q: int) -> Experiment:
+    blocks = len(experiment) // q
+    if blocks < 2:
+        raise InputError(
+            f"{len(experiment)} samples are too few to keep every {q}th",
+            file=experiment.name,
+            mend=f"use a sample time of at most {len(experiment) // 2 * experiment.dt:g} s",
+        )
+    held = _held(experiment)
+    values = np.empty((blocks, len(held)))
+    whole = experiment.values[: blocks * q]
+    values[:, held] = whole[:, held].reshape(blocks, q, -1).mean(axis=1)
+    values[:, ~held] = _low_passed(experiment.values[:, ~held], q)[: blocks * q : q]
+    t = experiment.t[: blocks * q : q]
+    return dataclasses.replace(experiment, t=t, values=values, dt=q * experiment.dt)
+
+
+def _low_passed(values: np.ndarray, q: int) -> np.ndarray:
+    """Zero-phase FIR low-pass at the new Nyquist frequency, as scipy.signal.decimate, but with odd continuation."""
+    from scipy.signal import fftconvolve, firwin
+
+    half = min(10 * q, len(values) - 1)
+    taps = np.reshape(firwin(2 * half + 1, 1.0 / q), (-1, 1))
+    head = 2 * values[0] - values[half:0:-1]
+    tail = 2 * values[-1] - values[-2 : -half - 2 : -1]
+    centre = values[0]  # the level is taken off first: FFT rounding then scales with the motion, not with the level
+    return fftconvolve(np.concatenate([head, values, tail]) - centre, taps, mode="valid", axes=0) + centre
+
+
+def _interpolated(experiment: Experiment, dt: float) -> Experiment:
+    old = experiment.t
+    count = math.floor((old[-1] - old[0]) / dt * (1 + 1e-12) + 1e-9) + 1
+    if count < 2:
+        raise InputError(
+            f"sample time {dt:g} s is longer than the record ({old[-1] - old[0]:g} s)",
+            file=experiment.name,
+            mend="choose a shorter one",
+        )
+    t = old[0] + dt * np.arange(count)
+    held = _held(experiment)
+    values = np.empty((count, len(held)))
+    # a stamp that rounding put a hair after the grid point still counts as reached
+    last = np.searchsorted(old, t + 1e-6 * experiment.dt, side="right") - 1
+    for column, is_held in enumerate(held):
+        source = experiment.values[:, column]
+        values[:, column] = source[last] if is_held else np.interp(t, old, source)
+    return dataclasses.replace(experiment, t=t, values=values, dt=dt)
