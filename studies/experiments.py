@@ -1,0 +1,129 @@
+"""The experiment plans of the machines that ship with the workbench: which loop runs and which set-points it follows.
+
+For the web winding machine these are the five experiments of [1] section 1.4.2 under its two decoupled loops, 2250 samples
+each, a staircase with standstills and a speed ramp. [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches".
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from controllers.pid import PILoops
+from plants import PLANTS, WEB_WINDING
+from workbench import excitation
+from workbench.errors import check_known
+from workbench.physics.controller import Controller, Playback
+from workbench.physics.plant import Plant
+from workbench.records import record
+from workbench.simulate import Scenario
+
+
+@record
+class Plan:
+    """An experiment: the loop it runs in and, for a seed, what happens in it."""
+
+    controller: Controller
+    scenario: Callable[[int], Scenario]
+
+
+def web_winding_loops(plant: Plant = WEB_WINDING) -> PILoops:
+    """The two decoupled loops of the identification experiments: w3 by V2, dancer angle by V1."""
+    _, u0 = plant.equilibrium()
+    return PILoops(
+        actuated=("V2", "V1"),
+        measured=("w3", "theta"),
+        references=("w3_set", "theta_set"),
+        kp=[0.010, -0.0050],
+        ki=[0.050, -0.020],
+        bias=[u0[1], u0[0]],
+        dt=plant.dt,
+    )
+
+
+SAMPLES = 2250
+SPEED = 100.0  # rad/s, the operating point of the guide pulley
+
+
+def _winding(name: str, signals: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> Plan:
+    """`signals(seed)` gives the set-points' deviations of speed [rad/s] and dancer angle [deg]."""
+
+    def scenario(seed: int) -> Scenario:
+        speed, angle = signals(seed)
+        return Scenario(name, {"w3_set": SPEED + speed, "theta_set": angle}, seed=seed)
+
+    return Plan(web_winding_loops(), scenario)
+
+
+def _prbs(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    del seed  # PRBS1 and PRBS2 differ in noise and disturbance only
+    return 21.0 * excitation.prbs(SAMPLES, hold=PRBS_HOLD), 3.5 * excitation.prbs(SAMPLES, hold=PRBS_HOLD, shift=2048)
+
+
+def _rbs(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    draw = [excitation.random_binary(SAMPLES, s, hold=10, probability=0.2) for s in _seeds(seed)]
+    return 20.0 * draw[0], 5.0 * draw[1]
+
+
+def _sine(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    draw = [excitation.multisine(SAMPLES, s, WEB_WINDING.dt, lines=20, low=0.02, high=2.0) for s in _seeds(seed)]
+    return 48.0 * draw[0], 8.0 * draw[1]
+
+
+def _rgs(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    draw = [excitation.filtered_gaussian(SAMPLES, s, WEB_WINDING.dt, cutoff=1.0) for s in _seeds(seed)]
+    return 40.0 * draw[0], 10.0 * draw[1]
+
+
+def _staircase(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    del seed
+    levels = [0.0, -60.0, -100.0, -80.0, 40.0, 0.0, -100.0, 20.0, -40.0, 60.0]  # -100 rad/s is a standstill
+    return excitation.staircase(SAMPLES, levels), excitation.staircase(SAMPLES, [0.0, 5.0, -5.0, 0.0])
+
+
+def _ramp(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    del seed
+    return excitation.ramp(SAMPLES, [0.0, -80.0, 60.0, -80.0, 60.0, 0.0]), excitation.ramp(SAMPLES, [0.0, 5.0, -5.0, 0.0])
+
+
+def _seeds(seed: int) -> tuple[int, int]:
+    """Two independent seeds for the two loops, apart from the one that draws the noise."""
+    first, second = np.random.SeedSequence([seed, 20]).generate_state(2)
+    return int(first), int(second)
+
+
+def _open_loop(plant: Plant, name: str, signal: Callable[[int], np.ndarray]) -> Plan:
+    channel = plant.input_names[0]
+    return Plan(Playback((channel,), plant.dt), lambda seed: Scenario(name, {channel: signal(seed)}, seed=seed))
+
+
+PRBS_HOLD = 5  # samples a step: 0.2 s, within the bandwidth of the loops
+
+EXPERIMENTS: dict[str, dict[str, Plan]] = {
+    "web-winding": {
+        "prbs1": _winding("prbs1", _prbs),
+        "prbs2": _winding("prbs2", _prbs),
+        "rbs": _winding("rbs", _rbs),
+        "sine": _winding("sine", _sine),
+        "rgs": _winding("rgs", _rgs),
+        "staircase": _winding("staircase", _staircase),
+        "ramp": _winding("ramp", _ramp),
+    },
+    "welding-robot": {
+        "prbs": _open_loop(PLANTS["welding-robot"], "prbs", lambda seed: 2.0 * excitation.prbs(2000, hold=10)),
+        "steps": _open_loop(
+            PLANTS["welding-robot"], "steps", lambda seed: excitation.staircase(2000, [0.0, 1.0, 2.0, 0.0, -1.0, -2.0, 0.0])
+        ),
+    },
+    "positioning-axis": {
+        "prbs": _open_loop(PLANTS["positioning-axis"], "prbs", lambda seed: 60.0 * excitation.prbs(10000, hold=200)),
+        "steps": _open_loop(
+            PLANTS["positioning-axis"], "steps", lambda seed: excitation.staircase(10000, [0.0, 50.0, 0.0, -50.0, 0.0])
+        ),
+    },
+}
+
+
+def plan(plant: str, experiment: str) -> Plan:
+    """The plan of a machine's experiment by name; unknown names are refused with the nearest match."""
+    plans = EXPERIMENTS[check_known("plant", plant, EXPERIMENTS)]
+    return plans[check_known(f"experiment of {plant}", experiment, plans)]

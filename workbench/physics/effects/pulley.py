@@ -1,0 +1,40 @@
+"""Effects between web and guide pulley.
+
+law(e) -> creep [m/s per N]: the web runs faster than the pulley surface by creep times the tension difference.
+"""
+
+from workbench.physics.effects.effect import Effect, EffectParameter
+from workbench.records import record
+
+
+def _slip(e):
+    return e.creep
+
+
+SLIP = Effect(
+    "slip",
+    "pulley",
+    (EffectParameter("creep", "m/s/N", low=0.0),),
+    "The web slips on {place}: it runs ahead of the surface in proportion to the difference of the tensions.",
+    "Steps of the tension difference at constant speed: a sensor lag scales with the rate, slip with the difference.",
+    _slip,
+)
+
+EFFECTS = (SLIP,)
+
+
+@record
+class Pulley:
+    """Port for the contact between a web and a pulley."""
+
+    place: str
+    family = "pulley"
+
+    def verbs(self, effects, context) -> dict:
+        """creep(): web speed relative to the surface per newton of tension difference [m/s/N]."""
+        del context
+
+        def creep():
+            return sum((effect.law(e) for effect, e in effects), start=0.0)
+
+        return {"creep": creep}

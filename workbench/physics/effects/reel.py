@@ -1,0 +1,45 @@
+"""Effects on the surface of a reel or wheel: a deviation of its radius [m] that turns with it.
+
+law(e, reel) -> (deviation [m], its rate of change [m/s]); `reel` has .angle [rad] and .speed [rad/s].
+"""
+
+import numpy as np
+
+from workbench.physics.effects.effect import Effect, EffectParameter, Named
+from workbench.records import record
+
+
+def _eccentricity(e, reel):
+    cos, sin = np.cos(reel.angle), np.sin(reel.angle)
+    return e.cosine * cos + e.sine * sin, reel.speed * (e.sine * cos - e.cosine * sin)
+
+
+ECCENTRICITY = Effect(
+    "eccentricity",
+    "reel",
+    (EffectParameter("cosine", "m"), EffectParameter("sine", "m")),
+    "The reel at {place} runs out of round: its radius changes once per turn.",
+    "Two speeds: the disturbance of an eccentric reel grows with speed, that of an imbalance does not.",
+    _eccentricity,
+)
+
+EFFECTS = (ECCENTRICITY,)
+
+
+@record
+class Reel:
+    """Port for the radius of a reel that turns with the state `speed`."""
+
+    place: str
+    speed: str
+    family = "reel"
+
+    def verbs(self, effects, context) -> dict:
+        """runout() -> deviation of the radius with .radius [m] and .rate [m/s]."""
+        reel = Named({"speed": context.x[self.speed], "angle": context.angle[self.place]})
+
+        def runout():
+            parts = [effect.law(e, reel) for effect, e in effects]
+            return Named({"radius": sum(a for a, _ in parts), "rate": sum(b for _, b in parts)})
+
+        return {"runout": runout}

@@ -1,0 +1,252 @@
+"""Traced equations printed as straight-line numba code: the only compiled code path of a simulation.
+
+A kernel advances `LANES` runs side by side: lane l of row i of the one work array W is W[i * LANES + l], every traced
+function is a loop over lanes without branches or calls, and LLVM makes SIMD code of it. What depends on parameters alone is
+computed once per run. Kernels are files named by the hash of their content in the user's cache folder, where numba keeps
+the machine code beside them: same content, no compilation; other content, another file.
+"""
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+
+import casadi as ca
+
+from workbench.files import write_text
+from workbench.records import record
+
+SCALAR, SIMD = 1, 16  # lanes: one run for the shortest answer, sixteen for the highest rate
+
+_BINARY = {
+    ca.OP_ADD: "{a} + {b}", ca.OP_SUB: "{a} - {b}", ca.OP_MUL: "{a} * {b}", ca.OP_DIV: "{a} / {b}",
+    ca.OP_FMIN: "{a} if {a} < {b} else {b}", ca.OP_FMAX: "{a} if {a} > {b} else {b}",
+    ca.OP_LT: "1.0 if {a} < {b} else 0.0", ca.OP_LE: "1.0 if {a} <= {b} else 0.0",
+    ca.OP_EQ: "1.0 if {a} == {b} else 0.0", ca.OP_NE: "1.0 if {a} != {b} else 0.0",
+    ca.OP_AND: "1.0 if {a} * {b} != 0.0 else 0.0", ca.OP_OR: "1.0 if abs({a}) + abs({b}) != 0.0 else 0.0",
+    ca.OP_IF_ELSE_ZERO: "{b} if {a} != 0.0 else 0.0", ca.OP_POW: "{a} ** {b}", ca.OP_CONSTPOW: "{a} ** {b}",
+    ca.OP_COPYSIGN: "math.copysign({a}, {b})", ca.OP_ATAN2: "math.atan2({a}, {b})", ca.OP_FMOD: "math.fmod({a}, {b})",
+    ca.OP_HYPOT: "math.hypot({a}, {b})",
+}  # fmt: skip
+_UNARY = {
+    ca.OP_ASSIGN: "{a}", ca.OP_NEG: "-{a}", ca.OP_INV: "1.0 / {a}", ca.OP_SQ: "{a} * {a}", ca.OP_TWICE: "2.0 * {a}",
+    ca.OP_SQRT: "math.sqrt({a})", ca.OP_FABS: "abs({a})", ca.OP_FLOOR: "math.floor({a})", ca.OP_CEIL: "math.ceil({a})",
+    ca.OP_SIGN: "(1.0 if {a} > 0.0 else 0.0) - (1.0 if {a} < 0.0 else 0.0)", ca.OP_NOT: "1.0 if {a} == 0.0 else 0.0",
+    ca.OP_EXP: "elementary.exp({a})", ca.OP_TANH: "elementary.tanh({a})", ca.OP_SIN: "elementary.sin({a})",
+    ca.OP_COS: "elementary.cos({a})", ca.OP_LOG: "math.log({a})", ca.OP_TAN: "math.tan({a})",
+    ca.OP_ASIN: "math.asin({a})", ca.OP_ACOS: "math.acos({a})", ca.OP_ATAN: "math.atan({a})",
+    ca.OP_SINH: "math.sinh({a})", ca.OP_COSH: "math.cosh({a})", ca.OP_EXPM1: "math.expm1({a})",
+    ca.OP_LOG1P: "math.log1p({a})", ca.OP_ERF: "math.erf({a})",
+}  # fmt: skip
+
+
+class Rows:
+    """Names for stretches of the work array: `rows.take("x", 7)` reserves seven rows, `rows["x"]` is the first of them."""
+
+    def __init__(self):
+        self.first: dict[str, int] = {}
+        self.size: dict[str, int] = {}
+        self.total = 0
+
+    def take(self, name: str, size: int) -> int:
+        self.first[name], self.size[name] = self.total, size
+        self.total += size
+        return self.first[name]
+
+    def __getitem__(self, name: str) -> int:
+        return self.first[name]
+
+    def span(self, name: str) -> slice:
+        return slice(self.first[name], self.first[name] + self.size[name])
+
+
+@record
+class Code:
+    """Source lines of one traced function: `once` runs before the first sample, `body` at every call."""
+
+    once: tuple[str, ...]
+    body: tuple[str, ...]
+
+
+def print_function(function: ca.Function, rows: Rows, arguments: list[str], results: list[str], constant: set[str]) -> Code:
+    """Straight-line code of a traced function on the work array.
+
+    arguments, results: names of the rows that stand for its inputs and outputs; constant: the arguments that do not change
+    during a run, so that whatever depends on them alone moves to `once`.
+    """
+    register: dict[int, tuple[str, bool]] = {}  # CasADi's register -> (expression, constant during a run?)
+    once: list[str] = []
+    body: list[str] = []
+    written: list[str] = []
+    kept: dict[str, str] = {}
+    prefix = function.name()
+
+    def used(name: str, fixed: bool, by_fixed: bool) -> str:
+        """How a value is written where it is used: one computed once and needed in the body goes through its own row."""
+        if not fixed or by_fixed or not name.startswith("c"):
+            return name
+        if name not in kept:
+            kept[name] = _cell(rows.take(f"{prefix}.{name}", 1))
+            once.append(f"{kept[name]} = {name}")
+        return kept[name]
+
+    for k in range(function.n_instructions()):
+        operation, inputs = function.instruction_id(k), function.instruction_input(k)
+        out = function.instruction_output(k)
+        if operation == ca.OP_CONST:
+            register[out[0]] = (f"{function.instruction_constant(k)!r}".replace("inf", "math.inf"), True)
+        elif operation == ca.OP_INPUT:
+            argument = arguments[inputs[0]]
+            cell = _cell(rows[argument] + inputs[1])
+            if argument not in constant:  # read before anything is written: results may overwrite arguments
+                body.append(f"v{k} = {cell}")
+                cell = f"v{k}"
+            register[out[0]] = (cell, argument in constant)
+        elif operation == ca.OP_OUTPUT:
+            written.append(f"{_cell(rows[results[out[0]]] + out[1])} = {used(*register[inputs[0]], by_fixed=False)}")
+        else:
+            form = _UNARY.get(operation) or _BINARY.get(operation)
+            if form is None:
+                raise NotImplementedError(f"{prefix}: operation {operation} of CasADi has no compiled form")
+            operands = [register[i] for i in (inputs[:1] if operation in _UNARY else inputs)]
+            fixed = all(f for _, f in operands)
+            a, b = ([used(name, f, fixed) for name, f in operands] + [""])[:2]
+            name = f"{'c' if fixed else 'v'}{k}"
+            (once if fixed else body).append(f"{name} = " + form.format(a=_bracket(a), b=_bracket(b)))
+            register[out[0]] = (name, fixed)
+    return Code(tuple(once), (*body, *written))
+
+
+def _cell(row: int) -> str:
+    return f"W[{row} * LANES + l]"
+
+
+def _bracket(expression: str) -> str:
+    return f"({expression})" if expression.startswith("-") else expression
+
+
+_TEMPLATE = '''"""Generated; do not edit. {title}"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from workbench.physics import elementary
+
+LANES = {lanes}
+
+
+@njit(
+    "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1)",
+    cache=True, nogil=True, error_model="numpy",
+)
+def run(W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, remembering):
+    """Advance LANES runs through len(reference) samples; see workbench.physics.stepper for the arrays."""
+    for l in range(LANES):
+{once}
+    for k in range(len(reference)):
+        for i in range({nr}):
+            for l in range(LANES):
+                W[({r} + i) * LANES + l] = reference[k, i, l]
+        for l in range(LANES):
+            W[{t} * LANES + l] = k * dt
+        for i in range({ny}):
+            for l in range(LANES):
+                W[({y} + i) * LANES + l] = W[({shown} + i * {deep}) * LANES + l] + noise[k, i, l]
+        if k % every == 0:
+            for l in range(LANES):
+{control}
+        for l in range(LANES):
+{drive}
+        for i in range({nu}):
+            for l in range(LANES):
+                acting[first + k, i, l] = W[({v} + i) * LANES + l] + disturbance[k, i, l]
+                commands[k, i, l] = W[({u} + i) * LANES + l]
+        for i in range({nx}):
+            for l in range(LANES):
+                states[k, i, l] = W[({x} + i) * LANES + l]
+        for i in range({ny}):
+            for l in range(LANES):
+                measured[k, i, l] = W[({y} + i) * LANES + l]
+        for s in range(len(step)):
+            for i in range({nu}):
+                for l in range(LANES):
+                    W[({w} + i) * LANES + l] = acting[first + k - back[s, i, l], i, l]
+            for l in range(LANES):
+                W[{h} * LANES + l] = step[s, l]
+            # classic Runge-Kutta of order four; `stage` is where the derivative is taken
+            for i in range({nx}):
+                for l in range(LANES):
+                    W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l]
+                    W[({sum} + i) * LANES + l] = W[({x} + i) * LANES + l]
+            for q in range(4):
+                ahead = 0.5 if q < 2 else 1.0
+                share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
+                for l in range(LANES):
+{derivative}
+                for i in range({nx}):
+                    for l in range(LANES):
+                        rise = W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
+                        W[({sum} + i) * LANES + l] += share * rise
+                        W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l] + ahead * rise
+                if q == 0 or q == 2:
+                    for l in range(LANES):
+                        W[{t} * LANES + l] += 0.5 * W[{h} * LANES + l]
+            for i in range({nx}):
+                for l in range(LANES):
+                    W[({x} + i) * LANES + l] = W[({sum} + i) * LANES + l]
+            if remembering or s == len(step) - 1:
+                for l in range(LANES):
+{remember}
+                for i in range({ny}):
+                    for l in range(LANES):
+                        W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
+'''
+
+
+def kernel_source(title: str, lanes: int, rows: Rows, codes: Mapping[str, Code], sizes: Mapping[str, int]) -> str:
+    """The text of a kernel module."""
+    indent = {"once": 8, "control": 16, "drive": 12, "derivative": 20, "remember": 20}
+    once = [line for code in codes.values() for line in code.once]
+    blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
+    text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
+    return _TEMPLATE.format(title=title, lanes=lanes, **text, **rows.first, **sizes)
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled kernels: $WORKBENCH_CACHE, or the user's cache folder, or a temporary one."""
+    root = os.environ.get("WORKBENCH_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(root) / "gain-scheduling-workbench" / "kernels"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    folder = Path(tempfile.gettempdir()) / f"gain-scheduling-workbench-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder
+
+
+def load_kernel(source: str) -> ModuleType:
+    """Import a kernel module from the cache folder, writing and compiling it where it is new."""
+    shared = (Path(__file__).parent / "elementary.py").read_text(encoding="utf-8")
+    name = "kernel_" + hashlib.sha256((source + shared).encode()).hexdigest()[:24]
+    if name in sys.modules:
+        return sys.modules[name]
+    path = cache_folder() / f"{name}.py"
+    if not path.exists():
+        write_text(path, source)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # numba looks it up by name when it loads the machine code
+    spec.loader.exec_module(module)
+    return module

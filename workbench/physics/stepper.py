@@ -1,0 +1,226 @@
+"""The compiled step: plant equation, effects and sampled controller, in blocks of lanes.
+
+Between samples the inputs are held. A hold that a dead time shifts changes inside the sample: the integrator's grid gets one
+more point for each input, placed where its hold changes, so that every delay is exact and a delay of 0 adds a step of length
+0. Effects are numbers in the work array: switching one on compiles nothing.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from types import ModuleType
+
+import casadi as ca
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.physics.controller import Controller
+from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, kernel_source, load_kernel, print_function
+from workbench.physics.plant import Plant, symbolic_numpy
+from workbench.records import field, record
+
+
+@record
+class Lanes:
+    """R runs side by side. Shapes: (R, ...) for what differs between runs; time is samples first.
+
+    start: states at the first sample; hold: inputs before it; reference, disturbance (on the inputs), noise (on the
+    outputs): by sample.
+    """
+
+    parameters: np.ndarray = field("R np")
+    effects: np.ndarray = field("R ne")
+    gains: np.ndarray = field("R ng")
+    memory: np.ndarray = field("R nc")  # of the controller
+    start: np.ndarray = field("R nx")
+    hold: np.ndarray = field("R nu")
+    reference: np.ndarray = field("R N nr")
+    disturbance: np.ndarray = field("R N nu")
+    noise: np.ndarray = field("R N ny")
+
+
+@record
+class Trajectories:
+    """states (R, N, nx), measured outputs (R, N, ny) and commands (R, N, nu) at the sampling instants."""
+
+    states: np.ndarray
+    measured: np.ndarray
+    commands: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleType, Rows]:
+    """The compiled kernel of a plant under a controller's law, and where things stand in its work array."""
+    rows, functions = Rows(), _functions(plant, controller)
+    nx, na, ny, nu = len(plant.states), len(plant.turning), len(plant.outputs), len(plant.inputs)
+    sizes = {
+        "x": nx + na, "stage": nx + na, "sum": nx + na, "slope": nx + na, "mem": len(plant.memories), "before": ny,
+        "after": ny, "y": ny, "u": nu, "v": nu, "w": nu, "r": len(controller.references), "c": len(controller.init()),
+        "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1, "h": 1,
+    }  # fmt: skip
+    for name, size in sizes.items():
+        rows.take(name, size)
+    rows.first["stage.angle"] = rows["stage"] + nx
+    each = len(plant.memories) // ny
+    rows.first["shown"] = rows["mem"] + each - 1  # a sensor shows the output of its last effect
+    wiring = {
+        "control": (["c", "r", "y", "g", "u"], ["u", "c"]),
+        "drive": (["u", "eta", "t"], ["v"]),
+        "derivative": (["stage", "w", "p", "eta", "stage.angle", "t"], ["slope"]),
+        "remember": (["mem", "before", "x", "h", "p", "eta"], ["mem", "after"]),
+    }
+    codes: dict[str, Code] = {
+        name: print_function(functions[name], rows, arguments, results, constant={"p", "eta", "g"})
+        for name, (arguments, results) in wiring.items()
+    }
+    numbers = {"nx": nx + na, "ny": ny, "nu": nu, "nr": len(controller.references), "deep": each}
+    title = f"{plant.name} under {type(controller).__name__}"
+    return load_kernel(kernel_source(title, lanes, rows, codes, numbers)), rows
+
+
+def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
+    """The four traced functions of a step."""
+    s, nx = plant.symbols, len(plant.states)
+    x, u, p, eta = (_split(s[name]) for name in ("x", "u", "p", "eta"))
+    dx, _ = plant.traced(*s.values())
+    rates = [x[plant.state_names.index(speed)] for speed in plant.turning.values()]
+    slope = ca.vertcat(dx, *rates)
+    mem, before = ca.SX.sym("mem", len(plant.memories)), ca.SX.sym("before", len(plant.outputs))
+    full, h = ca.SX.sym("full", nx), ca.SX.sym("h")
+    c, r = ca.SX.sym("c", len(controller.init())), ca.SX.sym("r", len(controller.references))
+    y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
+    with symbolic_numpy():
+        after = plant.output(_split(full), p)
+        memory = plant.remember(_split(mem), _split(before), after, h, eta)
+        acting = plant.drive(u, eta, s["t"])
+        at = [_split(y)[plant.output_names.index(name)] for name in controller.measured]
+        rho = _split(y)[plant.output_names.index(controller.schedule)] if controller.schedule else None
+        command, state = controller.law(_split(g), _split(c), _split(r), at, rho)
+    inputs = dict(zip(plant.input_names, u, strict=True)) | dict(zip(controller.actuated, command, strict=True))
+    return {
+        "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), _join(state)]),
+        "drive": ca.Function("drive", [s["u"], s["eta"], s["t"]], [_join(acting)]),
+        "derivative": ca.Function("derivative", list(s.values()), [slope]),
+        "remember": ca.Function("remember", [mem, before, full, h, s["p"], s["eta"]], [_join(memory), _join(after)]),
+    }
+
+
+def _split(symbol: ca.SX) -> list[ca.SX]:
+    return ca.vertsplit(symbol) if symbol.numel() else []
+
+
+def _join(values: list) -> ca.SX:
+    return ca.vertcat(*(ca.SX(value) for value in values)) if values else ca.SX(0, 1)
+
+
+def run(plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threads: int = 1) -> Trajectories:
+    """Step every lane through all samples with classic Runge-Kutta, `substeps` equal steps a sample.
+
+    One run goes through the scalar kernel, more through the SIMD kernel in blocks of 16, `threads` blocks at a time. Both
+    give the same numbers to the last bit.
+    """
+    every = round(controller.dt / plant.dt)
+    if every < 1 or abs(controller.dt - every * plant.dt) > 1e-9 * plant.dt:
+        raise InputError(
+            f"controller {controller.name!r} runs every {controller.dt:g} s, plant {plant.name!r} is sampled every "
+            f"{plant.dt:g} s",
+            mend="use a whole multiple of the plant's sample time",
+        )
+    R, N, _ = lanes.reference.shape
+    width = SCALAR if R == 1 else SIMD
+    kernel, rows = _kernel(plant, controller, width)
+    out = Trajectories(
+        np.empty((R, N, len(plant.states))),
+        np.empty((R, N, len(plant.outputs))),
+        np.empty((R, N, len(plant.inputs))),
+    )
+
+    def block(first: int) -> None:
+        pick = np.minimum(np.arange(first, first + width), R - 1)  # the last block repeats the last run
+        results = _block(plant, kernel, rows, lanes, pick, substeps, every)
+        keep = min(width, R - first)
+        for target, source in zip((out.states, out.measured, out.commands), results, strict=True):
+            target[first : first + keep] = np.moveaxis(source[:, : target.shape[2], :keep], 2, 0)
+
+    starts = range(0, R, width)
+    if threads > 1 and len(starts) > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(block, starts))
+    else:
+        for first in starts:
+            block(first)
+    return out
+
+
+def _block(plant: Plant, kernel: ModuleType, rows: Rows, lanes: Lanes, pick: np.ndarray, substeps: int, every: int):
+    """Run one block: (states, measured, commands), each (N, channels, L)."""
+    L, N = len(pick), lanes.reference.shape[1]
+    W = np.zeros((rows.total, L))
+    nx = len(plant.states)
+    W[rows["x"] : rows["x"] + nx] = lanes.start[pick].T
+    for name, source in (("p", lanes.parameters), ("eta", lanes.effects), ("g", lanes.gains), ("c", lanes.memory)):
+        W[rows.span(name)] = source[pick].T
+    z = np.array(np.broadcast_arrays(*plant.output(lanes.start[pick].T, lanes.parameters[pick].T)))
+    W[rows.span("before")] = z
+    W[rows.span("mem")] = np.repeat(z, len(plant.memories) // len(z), axis=0)
+    W[rows.span("u")] = lanes.hold[pick].T
+
+    step, back, first = _grid(plant, lanes.effects[pick], substeps)
+    acting = np.empty((first + N, len(plant.inputs), L))
+    acting[:first] = lanes.hold[pick].T
+    states = np.empty((N, nx + len(plant.turning), L))
+    measured, commands = np.empty((N, len(z), L)), np.empty((N, len(plant.inputs), L))
+    reference, disturbance, noise = (
+        np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
+    )
+    sensing = [i for i, slot in enumerate(plant.slots) if slot.effect.family == "sensor" and not slot.parameter.shape]
+    remembering = bool(np.any(lanes.effects[pick][:, sensing] != 0.0))
+    kernel.run(
+        W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
+        remembering,
+    )  # fmt: skip
+    return states, measured, commands
+
+
+def _grid(plant: Plant, effects: np.ndarray, substeps: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Step lengths (S, L), for each step how many samples back the acting input was commanded (S, nu, L), and the longest.
+
+    Without delays S = substeps. With them one step more for each input: the sorted union of the equal grid and the instants
+    at which a shifted hold changes.
+    """
+    L, dt = len(effects), plant.dt
+    delay = np.zeros((len(plant.inputs), L))
+    for i, slot in enumerate(plant.slots):
+        if slot.effect.id == "input-delay":
+            delay[plant.input_names.index(slot.place)] += effects[:, i]
+    whole = np.floor(delay / dt + 1e-12)
+    change = np.clip(delay - whole * dt, 0.0, dt)  # instant within a sample at which the older command gives way
+    points = np.repeat(np.linspace(0.0, dt, substeps + 1)[:, None], L, axis=1)
+    if np.any(change > 0.0):
+        points = np.sort(np.vstack([points, change]), axis=0)
+    step = np.diff(points, axis=0)
+    older = points[:-1, None, :] < change[None] - 1e-15 * dt
+    back = whole[None] + older
+    return np.ascontiguousarray(step), np.ascontiguousarray(back.astype(np.int64)), int(back.max(initial=0))
+
+
+def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, start: np.ndarray, hold: np.ndarray) -> int:
+    """Integrator steps a sample: the plant's own number, or more where a run's fastest mode asks for it (h |lambda| <= 1).
+
+    Modes are those of the Jacobian at the start and at rest, where smoothed dry friction is steepest. Shapes: (R, ...).
+    """
+    rest = start.copy()
+    rest[:, [plant.state_names.index(speed) for speed in plant.turning.values()]] = 0.0
+    angle = np.zeros(len(plant.turning))
+    fastest = 0.0
+    for x in (start, rest):
+        each = zip(x, hold, parameters, effects, strict=True)
+        A = np.array([np.array(plant.jacobians(*arguments, angle, 0.0)[0]) for arguments in each])
+        fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
+    needed = int(np.ceil(plant.dt * fastest))
+    if needed > 2000:
+        raise InputError(
+            f"a mode of {fastest:.3g} 1/s would need {needed} integrator steps a sample",
+            file=plant.name,
+            mend="widen the smoothing of the dry friction, or raise the inertia",
+        )
+    return max(plant.substeps, needed)

@@ -1,0 +1,194 @@
+"""Plant + controller + scenario -> record: one run, or a batch side by side.
+
+Inputs are held between samples; measurement noise is added at the sampling instants, and each input carries an unlogged
+white disturbance. Both come from the scenario's seed and from nothing else: the same seed gives the same numbers in a single run
+and anywhere in a batch.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from workbench.data import Channel, Experiment
+from workbench.errors import InputError, check_known
+from workbench.physics import stepper
+from workbench.physics.controller import Controller, Playback
+from workbench.physics.plant import EffectSizes, Plant
+from workbench.records import field, record
+
+
+@record
+class Scenario:
+    """What happens during a run: set-points by name (N,), start values, disturbances by input (N,), and the seed.
+
+    seed None: no noise and no disturbance but the given ones. start: values that replace those of the plant's equilibrium.
+    """
+
+    name: str
+    references: Mapping[str, np.ndarray]
+    seed: int | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    disturbance: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self):
+        lengths = {name: len(values) for name, values in ({**self.references, **self.disturbance}).items()}
+        if len(set(lengths.values())) != 1:
+            raise InputError(f"sequences of different lengths: {lengths}", file=self.name)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.references.values())))
+
+
+@record
+class Run:
+    """A simulated record: what a logger would have seen, and the states behind it."""
+
+    experiment: Experiment
+    states: Experiment
+    substeps: int
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    scenario: Scenario,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    effects: EffectSizes | None = None,
+    substeps: int | None = None,
+) -> Run:
+    """One closed-loop run of `plant` under `controller`; see the module.
+
+    parameters: values that differ from the nominal ones. effects: missing physics that is switched on, e.g.
+    {"coulomb@unwind": {"level": 0.002}}. substeps: integrator steps a sample; default: as many as the run needs.
+    """
+    lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects))
+    used = substeps or _substeps(plant, lanes)
+    run = stepper.run(plant, controller, lanes, used)
+    _check_finite(plant, scenario, run.states[0])
+    t = plant.dt * np.arange(len(scenario))
+    units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs}
+    sources = dict(zip(controller.references, controller.measured, strict=False))
+    logged = [] if isinstance(controller, Playback) else list(controller.references)
+    channels = (
+        *plant.inputs,
+        *plant.outputs,
+        *(Channel(name, units.get(sources.get(name, ""), ""), "reference") for name in logged),
+    )
+    values = np.column_stack([run.commands[0], run.measured[0], *(scenario.references[name] for name in logged)])
+    return Run(
+        Experiment(scenario.name, t, channels, values, plant.dt),
+        Experiment(f"{scenario.name} states", t, plant.states, run.states[0], plant.dt),
+        used,
+    )
+
+
+def simulate_batch(
+    plant: Plant,
+    controller: Controller,
+    scenarios: Scenario | Sequence[Scenario],
+    *,
+    parameters: np.ndarray | None = None,
+    effects: np.ndarray | None = None,
+    substeps: int | None = None,
+    threads: int | None = None,
+) -> stepper.Trajectories:
+    """R runs side by side: `parameters` (R, np) and `effects` (R, ne) in the plant's order, one scenario or one a run.
+
+    Runs whose numbers leave the finite range come back as NaN: in a sweep that is a result, not a failure.
+    """
+    each = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
+    p = plant.nominal[None] if parameters is None else np.atleast_2d(parameters)
+    eta = plant.effect_vector()[None] if effects is None else np.atleast_2d(effects)
+    R = max(len(each), len(p), len(eta))
+    for kind, size in (("scenarios", len(each)), ("parameters", len(p)), ("effects", len(eta))):
+        if size not in (1, R):
+            raise InputError(f"{size} {kind} for {R} runs", file=plant.name, mend=f"give 1 or {R}")
+    lanes = _lanes(plant, controller, each, p, eta)
+    cores = len(os.sched_getaffinity(0)) if threads is None else threads
+    return stepper.run(plant, controller, lanes, substeps or _substeps(plant, lanes), cores)
+
+
+def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] | None = None, **options) -> Run:
+    """The plant driven by the inputs of a measured record, from a given start: the simulation a record is compared with."""
+    for name in plant.input_names:
+        check_known("channel", name, experiment.names, file=experiment.name)
+    if abs(experiment.dt - plant.dt) > 1e-6 * plant.dt:
+        raise InputError(
+            f"sampled every {experiment.dt:g} s, the plant every {plant.dt:g} s",
+            file=experiment.name,
+            mend="resample the record",
+        )
+    scenario = Scenario(experiment.name, {name: experiment[name] for name in plant.input_names}, start=start or {})
+    return simulate(plant, Playback(plant.input_names, plant.dt), scenario, **options)
+
+
+def _substeps(plant: Plant, lanes: stepper.Lanes) -> int:
+    return stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold)
+
+
+def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray) -> stepper.Lanes:
+    p, eta = np.atleast_2d(p), np.atleast_2d(eta)
+    R, N = max(len(scenarios), len(p), len(eta)), len(scenarios[0])
+    for scenario in scenarios:
+        _check_scenario(plant, controller, scenario, N)
+    p, eta = np.broadcast_to(p, (R, p.shape[1])), np.broadcast_to(eta, (R, eta.shape[1]))
+    starts = [plant.equilibrium(row, **scenarios[i % len(scenarios)].start) for i, row in enumerate(p)]
+    signals = [_signals(plant, controller, scenario) for scenario in scenarios]
+    reference, disturbance, noise = (np.broadcast_to(np.stack(s), (R, *s[0].shape)) for s in zip(*signals, strict=True))
+    return stepper.Lanes(
+        parameters=p,
+        effects=eta,
+        gains=np.broadcast_to(controller.gains, (R, len(controller.gains))),
+        memory=np.broadcast_to(controller.init(), (R, len(controller.init()))),
+        start=np.array([x for x, _ in starts]),
+        hold=np.array([u for _, u in starts]),
+        reference=reference,
+        disturbance=disturbance,
+        noise=noise,
+    )
+
+
+def _check_scenario(plant: Plant, controller: Controller, scenario: Scenario, N: int) -> None:
+    for name in (*controller.measured, *([controller.schedule] if controller.schedule else [])):
+        check_known("measured channel", name, plant.output_names, file=controller.name)
+    for name in controller.actuated:
+        check_known("input", name, plant.input_names, file=controller.name)
+    for name in scenario.references:
+        check_known("set-point", name, controller.references, file=scenario.name)
+    for name in controller.references:
+        if name not in scenario.references:
+            raise InputError(f"no set-point {name!r} for controller {controller.name!r}", file=scenario.name)
+    for name in scenario.disturbance:
+        check_known("input", name, plant.input_names, file=scenario.name)
+    if len(scenario) != N:
+        raise InputError(f"{len(scenario)} samples, the first scenario of the batch has {N}", file=scenario.name)
+
+
+def _signals(plant: Plant, controller: Controller, scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """References (N, nr), input disturbances (N, nu) and measurement noise (N, ny) of one scenario."""
+    N = len(scenario)
+    reference = np.empty((N, len(controller.references)))
+    for i, name in enumerate(controller.references):
+        reference[:, i] = scenario.references[name]
+    disturbance, noise = np.zeros((N, len(plant.inputs))), np.zeros((N, len(plant.outputs)))
+    if scenario.seed is not None:
+        random = np.random.default_rng(scenario.seed)
+        disturbance = random.standard_normal((N, len(plant.inputs)))
+        disturbance *= [plant.disturbance.get(name, 0.0) for name in plant.input_names]
+        noise = random.standard_normal((N, len(plant.outputs))) * [plant.noise.get(name, 0.0) for name in plant.output_names]
+    for name, values in scenario.disturbance.items():
+        disturbance[:, plant.input_names.index(name)] += values
+    return reference, disturbance, noise
+
+
+def _check_finite(plant: Plant, scenario: Scenario, states: np.ndarray) -> None:
+    bad = ~np.isfinite(states).all(axis=1)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(
+            f"the simulation leaves the finite range at sample {k}, t = {k * plant.dt:g} s",
+            file=f"{plant.name}, {scenario.name}",
+            mend="an unstable loop? check gains, effects and start values",
+        )
