@@ -241,9 +241,7 @@ class Dataset:
         """Names of the records, in order."""
         return tuple(experiment.name for experiment in self.experiments)
 
-    def with_roles(
-        self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()
-    ) -> "Dataset":
+    def with_roles(self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()) -> "Dataset":
         """Every record with roles as named; see `Experiment.with_roles`."""
         return Dataset(tuple(e.with_roles(inputs, outputs, schedule) for e in self.experiments))
 
@@ -302,7 +300,7 @@ def bad_stamps(t: np.ndarray, dt: float) -> Iterator[BadStamp]:
     """t[k] - t[k-1] <= 0 (repeated, backwards) or > 1.5 dt (gap): the faults of the stamps t (N,), in order."""
     steps = np.diff(t)
     for k in np.flatnonzero(~((steps > 0) & (steps <= GAP * dt))):
-        fault = "repeated" if steps[k] == 0 else "backwards" if steps[k] < 0 else "gap"
+        fault: StampFault = "repeated" if steps[k] == 0 else "backwards" if steps[k] < 0 else "gap"
         yield BadStamp(fault, int(k) + 1, t[k], t[k + 1])
 
 

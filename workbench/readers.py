@@ -1,0 +1,554 @@
+"""Files to records: CSV and MAT in, CSV out; every kind of bad file has its own message with a place and a mend.
+
+    t [s],V1 [V],w3 [rad/s],theta [deg],w3_set [rad/s]
+    0.00,1.25,10.1,-0.4,10
+
+Comma, semicolon or tab; decimal point; UTF-8; one file is one experiment, named by its stem.
+"""
+
+import codecs
+import io
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from workbench.data import BadStamp, Channel, Dataset, Experiment, Role, bad_stamps
+from workbench.errors import InputError
+from workbench.files import write_text
+from workbench.records import record
+
+TIME_NAMES = ("t", "time", "Time")
+
+#: Fewer samples than this are no record.
+SHORTEST = 3
+
+#: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
+ROLES: tuple[tuple[str, Role], ...] = (
+    (r".+_set", "reference"),
+    (r"V\d+|u\d*|F", "input"),
+    (r"w3|theta|y\d*|v|q", "output"),
+    (r"r2|arm|p|rho", "schedule"),
+)
+
+
+@record
+class Unit:
+    """1 of this unit is `factor` of the SI unit of its quantity."""
+
+    quantity: str
+    factor: float
+
+
+UNITS: dict[str, Unit] = {
+    "s": Unit("time", 1.0),
+    "ms": Unit("time", 1e-3),
+    "us": Unit("time", 1e-6),
+    "min": Unit("time", 60.0),
+    "h": Unit("time", 3600.0),
+    "rad": Unit("angle", 1.0),
+    "deg": Unit("angle", math.pi / 180),
+    "°": Unit("angle", math.pi / 180),
+    "turn": Unit("angle", 2 * math.pi),
+    "rad/s": Unit("angular velocity", 1.0),
+    "deg/s": Unit("angular velocity", math.pi / 180),
+    "rpm": Unit("angular velocity", math.pi / 30),
+    "1/min": Unit("angular velocity", math.pi / 30),
+    "m": Unit("length", 1.0),
+    "mm": Unit("length", 1e-3),
+    "cm": Unit("length", 1e-2),
+    "um": Unit("length", 1e-6),
+    "km": Unit("length", 1e3),
+    "in": Unit("length", 0.0254),
+    "m/s": Unit("velocity", 1.0),
+    "mm/s": Unit("velocity", 1e-3),
+    "m/min": Unit("velocity", 1 / 60),
+    "km/h": Unit("velocity", 1 / 3.6),
+    "V": Unit("voltage", 1.0),
+    "mV": Unit("voltage", 1e-3),
+    "kV": Unit("voltage", 1e3),
+    "A": Unit("current", 1.0),
+    "mA": Unit("current", 1e-3),
+    "N": Unit("force", 1.0),
+    "mN": Unit("force", 1e-3),
+    "kN": Unit("force", 1e3),
+    "kgf": Unit("force", 9.80665),
+    "N m": Unit("torque", 1.0),
+    "Nm": Unit("torque", 1.0),
+    "N*m": Unit("torque", 1.0),
+    "mNm": Unit("torque", 1e-3),
+    "kg": Unit("mass", 1.0),
+    "g": Unit("mass", 1e-3),
+}
+
+
+@record
+class Column:
+    """A channel of a known MAT layout: `variable`, times the scalar variable `times` where one is named."""
+
+    channel: Channel
+    variable: str
+    times: str = ""
+
+
+@record
+class Layout:
+    """A MAT file whose variables are known by name; variables not listed are left out."""
+
+    time: str
+    columns: tuple[Column, ...]
+
+    def fits(self, variables: Mapping[str, np.ndarray]) -> bool:
+        needed = {self.time} | {c.variable for c in self.columns} | {c.times for c in self.columns if c.times}
+        return needed <= variables.keys()
+
+
+LAYOUTS: dict[str, Layout] = {
+    # A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of EMPS", 2019. The force pulses of the second
+    # file act through the drive and are part of vir; kp and kv are gains of the loop.
+    "EMPS": Layout(
+        "t",
+        (
+            Column(Channel("F", "N", "input"), "vir", times="gtau"),
+            Column(Channel("q", "m", "output"), "qm"),
+            Column(Channel("q_set", "m", "reference"), "qg"),
+        ),
+    ),
+}
+
+Names = Sequence[str] | None
+
+
+def read(path: str | Path, *, inputs: Names = None, outputs: Names = None, schedule: Names = None) -> Experiment:
+    """One file is one record, named by its stem: .csv, .txt and .tsv as text, .mat of version 7 or older.
+
+    Roles come from the names (`X_set` is a reference, see ROLES) or from the options, which win. The sample time is
+    the mean step of the stamps. Raises InputError with file, line, channel and mend for every fault of the file.
+    """
+    path = Path(path)
+    _check_file(path)
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        known = ", ".join(READERS)
+        raise InputError(
+            f"file type {suffix!r} is not known", file=path, mend=f"expected {known}; text with columns can be named .csv"
+        )
+    experiment = READERS[suffix](path)
+    return experiment.with_roles(inputs or (), outputs or (), schedule or ())
+
+
+def read_all(paths: Iterable[str | Path], *, inputs: Names = None, outputs: Names = None, schedule: Names = None) -> Dataset:
+    """Every file as one record of a set; two files of one stem are told apart by their folder.
+
+    Raises InputError as `read`, for a file named twice, and for records that do not fit together.
+    """
+    paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    seen: set[Path] = set()
+    for path in paths:
+        if path.resolve() in seen:
+            raise InputError("is named twice", file=path, mend="name each record once")
+        seen.add(path.resolve())
+    stems = [path.stem for path in paths]
+    names = [path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.name}" for path in paths]
+    records = [read(path, inputs=inputs, outputs=outputs, schedule=schedule) for path in paths]
+    return Dataset(tuple(Experiment(name, e.t, e.channels, e.values, e.dt) for name, e in zip(names, records, strict=True)))
+
+
+def write_csv(experiment: Experiment, path: str | Path) -> Path:
+    """Write a record as CSV with 17 significant digits: reading it gives the same numbers, bit for bit.
+
+    Roles are kept by name only. Raises InputError for a channel name that a CSV header cannot hold.
+    """
+    for channel in experiment.channels:
+        cell = _HEADER_CELL.fullmatch(str(channel))
+        if not cell or cell[1] != channel.name or channel.name in ("", *TIME_NAMES) or _number(channel.name) is not None:
+            raise InputError(
+                "cannot stand in a CSV header",
+                file=path,
+                channel=channel.name,
+                mend="use a name without commas, semicolons, quotes, brackets and line ends, other than t",
+            )
+    text = io.StringIO()
+    header = ",".join(["t [s]", *map(str, experiment.channels)])
+    table = np.column_stack([experiment.t, experiment.values])
+    np.savetxt(text, table, fmt="%.17g", delimiter=",", header=header, comments="")
+    return write_text(path, text.getvalue())
+
+
+def check_units(experiment: Experiment, expected: Mapping[str, str]) -> Experiment:
+    """Refuse channels whose unit is not the one expected (channel name -> unit), and say by what to multiply.
+
+    A channel without a unit is taken to have the one expected; names that are not in the record are left alone.
+    Returns the record unchanged; raises InputError with the factor, or with the two quantities where they differ.
+    """
+    for channel in experiment.channels:
+        unit = expected.get(channel.name, "")
+        if unit and channel.unit and channel.unit != unit:
+            _check_unit(experiment.name, channel, unit)
+    return experiment
+
+
+def _check_unit(name: str, channel: Channel, expected: str) -> None:
+    found, wanted = UNITS.get(channel.unit), UNITS.get(expected)
+    problem = f"unit is {channel.unit}, expected {expected}"
+    if found is None or wanted is None:
+        unknown = channel.unit if found is None else expected
+        mend = f"{unknown!r} is no unit this program knows: convert the column and write [{expected}] in the header"
+    elif found.quantity != wanted.quantity:
+        mend = f"{channel.unit} is a {found.quantity}, {expected} a {wanted.quantity}: is this the right column?"
+    elif math.isclose(found.factor, wanted.factor):
+        return
+    else:
+        factor = found.factor / wanted.factor
+        mend = f"multiply the column by {factor:.10g} and write {channel.name} [{expected}] in the header"
+    raise InputError(problem, file=name, channel=channel.name, mend=mend)
+
+
+def _check_file(path: Path) -> None:
+    if path.is_dir():
+        raise InputError("is a folder, expected a file", file=path, mend="name the record files in it")
+    try:
+        with open(path, "rb") as stream:
+            empty = not stream.read(1)
+    except FileNotFoundError:
+        near = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))[:5] if path.parent.is_dir() else []
+        mend = f"files there: {', '.join(near)}" if near else "check the path"
+        raise InputError("no such file", file=path, mend=mend) from None
+    except OSError as reason:
+        raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the permissions") from None
+    if empty:
+        raise InputError("is empty", file=path, line=1, mend="expected a header and one row for each sample")
+
+
+# ---- CSV -------------------------------------------------------------------------------------------------------------
+
+# name, then a unit in square brackets where there is one
+_HEADER_CELL = re.compile(r"\s*([^\[\](),;\t\r\n\"]*?)\s*(?:\[\s*([^\[\],;\t\r\n\"]*?)\s*\])?\s*")
+
+
+@record
+class _Header:
+    """The first row of a CSV file: its delimiter, and a name and a unit for each cell."""
+
+    line: int
+    delimiter: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    time: int
+
+
+def _read_csv(path: Path) -> Experiment:
+    header = _header(path)
+    table = _table(path, header)
+    if len(table) < SHORTEST:
+        raise InputError(
+            f"{len(table)} samples are no record, expected at least {SHORTEST}",
+            file=path,
+            line=header.line,
+            mend="is the file whole?",
+        )
+    t = table[:, header.time]
+    dt = _sample_time(path, header.names[header.time], t, lambda row: _line_of_row(path, header, row))
+    kept = [k for k in range(len(header.names)) if k != header.time]
+    channels = tuple(Channel(header.names[k], header.units[k], _role(header.names[k])) for k in kept)
+    return Experiment(path.stem, t, channels, table[:, kept], dt)
+
+
+def _role(name: str) -> Role:
+    for pattern, role in ROLES:
+        if re.fullmatch(pattern, name):
+            return role
+    return "other"
+
+
+def _header(path: Path) -> _Header:
+    line, text = _first_line(path)
+    delimiter = next((d for d in (";", "\t") if d in text), ",")
+    cells = [cell.strip().strip('"').strip() for cell in text.split(delimiter)]
+    if all(_number(word) is not None for cell in cells for word in cell.split()):
+        raise InputError(
+            "no header: the first row holds numbers only",
+            file=path,
+            line=line,
+            mend="put the channel names in the first row, such as: t [s],u [V],y [rad/s]",
+        )
+    names, units = [], []
+    for number, cell in enumerate(cells, 1):
+        match = _HEADER_CELL.fullmatch(cell)
+        if not match or not match[1]:
+            problem = f"column {number} has no name" if not cell else f"column {number}: {cell!r} is no channel name"
+            mend = "write name [unit], the unit in square brackets or left out; no delimiter at the end of the line"
+            raise InputError(problem, file=path, line=line, mend=mend)
+        names.append(match[1])
+        units.append(match[2] or "")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"appears {names.count(name)} times in the header",
+                file=path,
+                line=line,
+                channel=name,
+                mend="give each column its own name",
+            )
+    return _Header(line, delimiter, tuple(names), tuple(units), _time_column(path, line, names, units))
+
+
+def _time_column(path: Path, line: int, names: Sequence[str], units: Sequence[str]) -> int:
+    found = [k for k, name in enumerate(names) if name in TIME_NAMES]
+    if not found:
+        mend = "name the time column t [s]"
+        if len(names) == 1:
+            mend += "; columns are separated by comma, semicolon or tab"
+        raise InputError(f"no time column among {', '.join(names)}", file=path, line=line, mend=mend)
+    if len(found) > 1:
+        both = " and ".join(names[k] for k in found)
+        raise InputError(f"two time columns, {both}", file=path, line=line, mend="keep one")
+    if len(names) == 1:
+        mend = "columns are separated by comma, semicolon or tab"
+        raise InputError("the time column is the only one", file=path, line=line, mend=mend)
+    k = found[0]
+    if units[k] not in ("", "s"):
+        unit = UNITS.get(units[k])
+        factor = f"multiply the column by {unit.factor:g}" if unit and unit.quantity == "time" else "convert the column"
+        raise InputError(
+            f"time is in {units[k]}, expected s",
+            file=path,
+            line=line,
+            channel=names[k],
+            mend=f"{factor} and write {names[k]} [s] in the header",
+        )
+    return k
+
+
+def _first_line(path: Path) -> tuple[int, str]:
+    """Number and text of the first line that is not blank."""
+    with open(path, "rb") as stream:
+        start = stream.read(65536)
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError("text is UTF-16, expected UTF-8", file=path, line=1, mend="save the file as CSV UTF-8")
+    if b"\0" in start:
+        mend = "expected text; export the sheet as CSV" if start.startswith(b"PK") else "expected text as in CSV"
+        raise InputError("is a binary file", file=path, mend=mend)
+    for line, text in _lines(path):
+        if text.strip():
+            return line, text
+    raise InputError("is empty", file=path, line=1, mend="expected a header and one row for each sample")
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Numbered lines without their ends; bytes that are not UTF-8 are refused with their line."""
+    line = 0
+    with open(path, encoding="utf-8-sig", errors="surrogateescape") as stream:
+        for line, text in enumerate(stream, 1):
+            bad = next((c for c in text if "\ud800" <= c <= "\udfff"), "") if not text.isascii() else ""
+            if bad:
+                raise InputError(
+                    f"byte 0x{ord(bad) & 0xFF:02X} is not UTF-8", file=path, line=line, mend="save the file as CSV UTF-8"
+                )
+            yield line, text.rstrip("\r\n")
+
+
+def _table(path: Path, header: _Header) -> np.ndarray:
+    """All rows as numbers (N, cells): C-fast, and line by line only to say what is wrong."""
+    wanted = len(header.names)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "no data": the caller reports it, with the place
+            # an absolute path: numpy opens what looks like an address, and reads a path in large blocks
+            table = np.loadtxt(
+                str(path.resolve()),
+                delimiter=header.delimiter,
+                skiprows=header.line,
+                comments=None,
+                ndmin=2,
+                encoding="utf-8-sig",
+            )
+    except (ValueError, UnicodeDecodeError):
+        table = None
+    if table is not None and not table.size:
+        return np.empty((0, wanted))
+    if table is None or table.shape[1] != wanted or not np.isfinite(table).all():
+        table = np.array(list(_rows(path, header)))
+    return table
+
+
+def _rows(path: Path, header: _Header) -> Iterator[list[float]]:
+    """The numbers of each row; the first row that breaks the contract is refused."""
+    for line, text in _lines(path):
+        if line > header.line and text.strip():
+            cells = text.split(header.delimiter)
+            if len(cells) != len(header.names):
+                raise _wrong_count(path, header, line, cells)
+            yield [_cell(path, header, line, k, cell) for k, cell in enumerate(cells)]
+
+
+def _wrong_count(path: Path, header: _Header, line: int, cells: list[str]) -> InputError:
+    found, wanted = len(cells), len(header.names)
+    problem = f"{found} cells, expected {wanted}"
+    if found < wanted:
+        channel = header.names[found]
+        mend = "the line is cut off: complete it or delete it"
+        return InputError(problem, file=path, line=line, channel=channel, mend=mend)
+    if not cells[-1].strip() and found == wanted + 1:
+        mend = "take the delimiter off the end of the line"
+    elif header.delimiter == "," and found >= 2 * wanted - 1:
+        mend = "decimal commas? write decimal points, or points with semicolons between cells"
+    else:
+        mend = "one cell for each name in the header"
+    return InputError(problem, file=path, line=line, mend=mend)
+
+
+def _cell(path: Path, header: _Header, line: int, k: int, text: str) -> float:
+    text = text.strip()
+    value = _number(text)
+    if value is not None and math.isfinite(value):
+        return value
+    mend = "repair the value, or cut the record there into two files"
+    if not text:
+        problem = "empty cell, expected a number"
+    elif value is not None:
+        problem = f"{text} is not finite, expected a number"
+    elif re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", text):
+        problem, mend = f"decimal comma in {text!r}, expected a decimal point", "export with decimal points"
+    else:
+        problem, mend = f"text {text[:40]!r}, expected a number", "write a plain number with a decimal point"
+    raise InputError(problem, file=path, line=line, channel=header.names[k], mend=mend)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return None if "_" in text else float(text)
+    except ValueError:
+        return None
+
+
+def _line_of_row(path: Path, header: _Header, row: int) -> int:
+    numbered = (line for line, text in _lines(path) if line > header.line and text.strip())
+    return next(line for k, line in enumerate(numbered) if k == row)
+
+
+def _sample_time(path: Path, name: str, t: np.ndarray, line_of: Callable[[int], int] | None) -> float:
+    """(t[N-1] - t[0]) / (N - 1): the mean step, without the rounding of single stamps; faulty stamps are refused."""
+    typical = float(np.median(np.diff(t)))
+    if typical <= 0:  # most steps are faulty: judge them by the ones that are not
+        forward = np.diff(t)[np.diff(t) > 0]
+        typical = float(np.median(forward)) if len(forward) else 1.0
+    for bad in bad_stamps(t, typical):
+        raise _stamp_error(path, name, bad, typical, line_of(bad.index) if line_of else None)
+    return float(f"{(t[-1] - t[0]) / (len(t) - 1):.12g}")
+
+
+def _stamp_error(path: Path, name: str, bad: BadStamp, dt: float, line: int | None) -> InputError:
+    cut = f"cut the file there into two records, trim(stop={bad.after:.10g}) and trim(start={bad.after:.10g})"
+    if bad.fault == "gap":
+        problem = f"gap of {bad.after - bad.before:.6g} s before t = {bad.after:.10g} s, expected steps of {dt:.6g} s"
+        mend = cut
+    elif bad.fault == "repeated":
+        problem = f"time stamp {bad.after:.10g} s is repeated, expected steps of {dt:.6g} s"
+        mend = "delete the row that was logged twice, or log the time with more digits"
+    else:
+        problem = f"time goes back from {bad.before:.10g} s to {bad.after:.10g} s"
+        mend = "two runs in one file? cut it there into two files; otherwise sort the rows by time"
+    if line is None:
+        problem = f"sample {bad.index + 1}: {problem}"
+    return InputError(problem, file=path, line=line, channel=name, mend=mend)
+
+
+# ---- MAT -------------------------------------------------------------------------------------------------------------
+
+
+def _read_mat(path: Path) -> Experiment:
+    variables = _variables(path)
+    for layout in LAYOUTS.values():
+        if layout.fits(variables):
+            return _from_layout(path, layout, variables)
+    t = _time_vector(path, variables)
+    columns: list[tuple[Channel, np.ndarray]] = []
+    for name, array in variables.items():
+        if name not in TIME_NAMES and len(array) == len(t):
+            width = array.shape[1]
+            names = [name] if width == 1 else [f"{name}{k + 1}" for k in range(width)]
+            columns += [(Channel(key, "", _role(key)), array[:, k]) for k, key in enumerate(names)]
+    return _from_columns(path, t, columns)
+
+
+def _variables(path: Path) -> dict[str, np.ndarray]:
+    """Real numeric variables by name, vectors as one column (N, 1)."""
+    from scipy.io import loadmat
+
+    with open(path, "rb") as stream:
+        start = stream.read(520)
+    if b"MATLAB 7.3" in start or b"\x89HDF" in start:
+        raise InputError("is a MAT file of version 7.3", file=path, mend="save it in MATLAB with save(..., '-v7')")
+    try:
+        content = loadmat(path)
+    except Exception as reason:  # loadmat lets a dozen kinds of error out of a broken file
+        raise InputError(
+            f"cannot be read as a MAT file ({type(reason).__name__})", file=path, mend="is the file whole? save with -v7"
+        ) from None
+    variables = {}
+    for name, array in content.items():
+        if isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "buif" and not name.startswith("__"):
+            column = array.reshape(-1, 1) if 1 in array.shape else array
+            variables[name] = np.asarray(column, float)
+    return variables
+
+
+def _time_vector(path: Path, variables: Mapping[str, np.ndarray]) -> np.ndarray:
+    for name in TIME_NAMES:
+        if name in variables and variables[name].shape[1:] == (1,) and len(variables[name]) > 1:
+            return variables[name][:, 0]
+    for name in ("Ts", "dt"):
+        if name in variables and variables[name].size == 1:
+            lengths = [len(v) for v in variables.values() if len(v) > 1]
+            return variables[name].flat[0] * np.arange(max(lengths, key=lengths.count) if lengths else 0)
+    listed = ", ".join(variables) or "none"
+    raise InputError(
+        f"no time vector; numeric variables: {listed}",
+        file=path,
+        mend="save a vector t in seconds, or the sample time as the number Ts, and each channel as a vector",
+    )
+
+
+def _from_layout(path: Path, layout: Layout, variables: Mapping[str, np.ndarray]) -> Experiment:
+    t = variables[layout.time][:, 0]
+    columns = []
+    for column in layout.columns:
+        array = variables[column.variable][:, 0]
+        if len(array) != len(t):
+            raise InputError(
+                f"{len(array)} samples of {column.variable}, expected {len(t)} as in {layout.time}",
+                file=path,
+                channel=column.channel.name,
+                mend="save vectors of equal length",
+            )
+        columns.append((column.channel, array * variables[column.times].flat[0] if column.times else array))
+    return _from_columns(path, t, columns)
+
+
+def _from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np.ndarray]]) -> Experiment:
+    if not columns:
+        raise InputError(
+            f"no variable has the {len(t)} samples of the time vector", file=path, mend="save each channel as a vector"
+        )
+    if len(t) < SHORTEST:
+        problem = f"{len(t)} samples are no record, expected at least {SHORTEST}"
+        raise InputError(problem, file=path, mend="is the file whole?")
+    for name, array in [("t", t), *((channel.name, array) for channel, array in columns)]:
+        bad = np.flatnonzero(~np.isfinite(array))
+        if len(bad):
+            raise InputError(
+                f"sample {bad[0] + 1} is {array[bad[0]]}, expected a finite number",
+                file=path,
+                channel=name,
+                mend="repair the value, or cut the record there into two files",
+            )
+    dt = _sample_time(path, "t", t, None)
+    values = np.column_stack([array for _, array in columns])
+    return Experiment(path.stem, t, tuple(channel for channel, _ in columns), values, dt)
+
+
+READERS = {".csv": _read_csv, ".txt": _read_csv, ".tsv": _read_csv, ".mat": _read_mat}
