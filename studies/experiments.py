@@ -4,6 +4,7 @@ For the web winding machine these are the five experiments of [1] section 1.4.2 
 each, a staircase with standstills and a speed ramp. [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches".
 """
 
+import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -33,9 +34,9 @@ def web_winding_loops(plant: Plant = WEB_WINDING) -> PILoops:
         actuated=("V2", "V1"),
         measured=("w3", "theta"),
         references=("w3_set", "theta_set"),
-        kp=[0.010, -0.0050],
-        ki=[0.050, -0.020],
-        bias=[u0[1], u0[0]],
+        kp=np.array([0.010, -0.0050]),
+        ki=np.array([0.050, -0.020]),
+        bias=np.array([u0[1], u0[0]]),
         dt=plant.dt,
     )
 
@@ -49,7 +50,7 @@ def _winding(name: str, signals: Callable[[int], tuple[np.ndarray, np.ndarray]])
 
     def scenario(seed: int) -> Scenario:
         speed, angle = signals(seed)
-        return Scenario(name, {"w3_set": SPEED + speed, "theta_set": angle}, seed=seed)
+        return Scenario(name, {"w3_set": SPEED + speed, "theta_set": angle}, seed=_noise_seed(name, seed))
 
     return Plan(web_winding_loops(), scenario)
 
@@ -77,7 +78,8 @@ def _rgs(seed: int) -> tuple[np.ndarray, np.ndarray]:
 def _staircase(seed: int) -> tuple[np.ndarray, np.ndarray]:
     del seed
     levels = [0.0, -60.0, -100.0, -80.0, 40.0, 0.0, -100.0, 20.0, -40.0, 60.0]  # -100 rad/s is a standstill
-    return excitation.staircase(SAMPLES, levels), excitation.staircase(SAMPLES, [0.0, 5.0, -5.0, 0.0])
+    # a jump of the speed would slacken the tape: 2 s from level to level keep the tension positive
+    return excitation.staircase(SAMPLES, levels, rise=50), excitation.staircase(SAMPLES, [0.0, 5.0, -5.0, 0.0], rise=25)
 
 
 def _ramp(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -91,9 +93,16 @@ def _seeds(seed: int) -> tuple[int, int]:
     return int(first), int(second)
 
 
+def _noise_seed(name: str, seed: int) -> int:
+    """Seed of noise and disturbance: two experiments with the same number must not share them."""
+    return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
+
+
 def _open_loop(plant: Plant, name: str, signal: Callable[[int], np.ndarray]) -> Plan:
     channel = plant.input_names[0]
-    return Plan(Playback((channel,), plant.dt), lambda seed: Scenario(name, {channel: signal(seed)}, seed=seed))
+    return Plan(
+        Playback((channel,), plant.dt), lambda seed: Scenario(name, {channel: signal(seed)}, seed=_noise_seed(name, seed))
+    )
 
 
 PRBS_HOLD = 5  # samples a step: 0.2 s, within the bandwidth of the loops

@@ -7,8 +7,8 @@ import numpy as np
 
 from workbench.errors import InputError
 
-# Feedback taps of primitive polynomials over GF(2): x^n + x^a + ... + 1, so that a register of n bits runs through all 2^n - 1
-# states. P. Alfke, Xilinx application note XAPP 052, 1996.
+# Feedback taps of primitive polynomials over GF(2): x^n + x^a + ... + 1, so that a register of n bits runs through all
+# 2^n - 1 states. P. Alfke, Xilinx application note XAPP 052, 1996.
 _TAPS = {
     3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7), 11: (11, 9),
     12: (12, 6, 4, 1), 13: (13, 4, 3, 1), 14: (14, 5, 3, 1), 15: (15, 14), 16: (16, 15, 13, 4),
@@ -68,16 +68,21 @@ def filtered_gaussian(samples: int, seed: int, dt: float, *, cutoff: float) -> n
     """White Gaussian noise through a second-order Butterworth low-pass of `cutoff` Hz, (samples,); peak 1."""
     from scipy.signal import butter, lfilter
 
-    b, a = butter(2, cutoff, fs=1.0 / dt)
+    b, a = butter(2, cutoff, fs=1.0 / dt, output="ba")  # pyright: ignore[reportGeneralTypeIssues, reportAssignmentType]
     settle = int(10 / (cutoff * dt))
     x = lfilter(b, a, np.random.default_rng(seed).standard_normal(samples + settle))[settle:]
     return x / np.abs(x).max()
 
 
-def staircase(samples: int, levels: np.ndarray | list[float]) -> np.ndarray:
-    """Levels of equal length one after the other, (samples,); a level of 0 is a standstill where the quantity is a speed."""
+def staircase(samples: int, levels: np.ndarray | list[float], *, rise: int = 1) -> np.ndarray:
+    """Levels of equal length one after the other, (samples,), each reached by a straight line of `rise` samples.
+
+    A level of 0 is a standstill where the quantity is a speed.
+    """
     levels = np.asarray(levels, dtype=float)
-    return levels[np.minimum(np.arange(samples) * len(levels) // samples, len(levels) - 1)]
+    begins = np.arange(len(levels)) * samples / len(levels)
+    times = np.column_stack([begins, begins + rise]).ravel()[1:]
+    return np.interp(np.arange(samples), times, np.repeat(levels, 2)[:-1])
 
 
 def ramp(samples: int, points: np.ndarray | list[float]) -> np.ndarray:

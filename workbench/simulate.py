@@ -1,8 +1,8 @@
 """Plant + controller + scenario -> record: one run, or a batch side by side.
 
 Inputs are held between samples; measurement noise is added at the sampling instants, and each input carries an unlogged
-white disturbance. Both come from the scenario's seed and from nothing else: the same seed gives the same numbers in a single run
-and anywhere in a batch.
+white disturbance. Both come from the scenario's seed and from nothing else: the same seed gives the same numbers in a
+single run and anywhere in a batch.
 """
 
 import os
