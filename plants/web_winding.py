@@ -7,7 +7,7 @@
 
 with surface speeds v = r w. [1] prints +r_i T_i and +s/(2 pi) w_i for both motors. Physically the tape pulls the unwind
 reel forward and holds the rewind reel back, r_1 falls and r_2 grows, as the paper's own text says; with the printed signs
-the frozen machine has an unstable rewind mode. The parameter values are ours: the paper prints none.
+the frozen machine is unstable as soon as r2^2/J2 exceeds r1^2/J1. The parameter values are ours: the paper prints none.
 
 [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches", chapter 1.
 """
@@ -104,4 +104,5 @@ WEB_WINDING = Plant(
     ),
     noise={"w1": 0.2, "w2": 0.2, "w3": 0.3, "theta": 0.2, "r2": 5.0e-6},
     disturbance={"V1": 0.01, "V2": 0.01},
+    limits={"r1": (0.010, 0.030), "r2": (0.010, 0.030), "T1": (-5.0, 50.0), "T2": (-5.0, 50.0)},
 )

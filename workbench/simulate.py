@@ -66,7 +66,7 @@ def simulate(
     lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects))
     used = substeps or _substeps(plant, lanes)
     run = stepper.run(plant, controller, lanes, used)
-    _check_finite(plant, scenario, run.states[0])
+    _check_range(plant, scenario, run.states[0])
     t = plant.dt * np.arange(len(scenario))
     units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs}
     sources = dict(zip(controller.references, controller.measured, strict=False))
@@ -183,12 +183,16 @@ def _signals(plant: Plant, controller: Controller, scenario: Scenario) -> tuple[
     return reference, disturbance, noise
 
 
-def _check_finite(plant: Plant, scenario: Scenario, states: np.ndarray) -> None:
-    bad = ~np.isfinite(states).all(axis=1)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"the simulation leaves the finite range at sample {k}, t = {k * plant.dt:g} s",
-            file=f"{plant.name}, {scenario.name}",
-            mend="an unstable loop? check gains, effects and start values",
-        )
+def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray) -> None:
+    """Refuse a run that left the range in which the plant's equation means something."""
+    for i, channel in enumerate(plant.states):
+        low, high = plant.limits.get(channel.name, (-np.inf, np.inf))
+        bad = ~(np.isfinite(states[:, i]) & (states[:, i] >= low) & (states[:, i] <= high))
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise InputError(
+                f"{states[k, i]:.3g} {channel.unit} at t = {k * plant.dt:g} s, outside [{low:g}, {high:g}] {channel.unit}",
+                file=f"{plant.name}, {scenario.name}",
+                channel=channel.name,
+                mend="an unstable loop, or a run that is too long? check gains, effects, start values and duration",
+            )

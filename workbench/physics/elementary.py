@@ -1,7 +1,7 @@
 """exp, tanh, sin and cos without branches and without library calls, so that a loop over lanes becomes SIMD code.
 
 Errors measured in the tests: exp 2 ulp on [-708, 708] (clamped outside), tanh 3e-16 absolute, sin and cos 3e-16 absolute
-for |x| < 1e5 and 1e-11 up to 1e9. Source of the argument reductions: W. J. Cody and W. Waite, Software Manual for the
+for |x| < 1e5 and 1e-11 up to 1e6. Source of the argument reductions: W. J. Cody and W. Waite, Software Manual for the
 Elementary Functions, 1980.
 """
 

@@ -73,7 +73,8 @@ class Plant:
     """See the module. `ports` are those of the equation; every input has an actuator port and every output a sensor port.
 
     noise: standard deviation of each measured channel, white per sample; disturbance: of an unlogged signal added to each
-    input, white per sample. substeps: integrator steps per sample that keep the error of a run below 1e-4 of its range.
+    input, white per sample. limits: (low, high) of states within which the equation means something. substeps: integrator
+    steps per sample that keep the error of a run below 1e-4 of its range.
     """
 
     name: str
@@ -88,12 +89,15 @@ class Plant:
     start: Start = field(default_factory=Start)
     noise: Mapping[str, float] = field(default_factory=dict)
     disturbance: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     substeps: int = 10
     description: str = ""
 
     def __post_init__(self):
         for name in (*self.noise, *self.disturbance):
             check_known("channel", name, [c.name for c in (*self.inputs, *self.outputs)], file=self.name)
+        for name in self.limits:
+            check_known("state", name, self.state_names, file=self.name)
         for port in self.ports:
             if hasattr(port, "speed"):
                 check_known("state", port.speed, self.state_names, file=self.name)

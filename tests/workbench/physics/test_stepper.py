@@ -1,0 +1,257 @@
+"""The compiled stepper against independent integrators and against what each effect must do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from plants import POSITIONING_AXIS, WEB_WINDING, WELDING_ROBOT
+from studies.experiments import plan, web_winding_loops
+from workbench.errors import InputError
+from workbench.physics import kernel
+from workbench.physics.controller import Playback
+from workbench.simulate import Scenario, replay, simulate, simulate_batch
+
+LOOPS = web_winding_loops()
+
+
+def steps(samples=60, seed=None):
+    k = np.arange(samples)
+    speed, angle = 100 + 10.0 * np.sign(np.sin(k / 7)), 2.0 * np.sign(np.cos(k / 5))
+    return Scenario("steps", {"w3_set": speed, "theta_set": angle}, seed=seed)
+
+
+def reference_loop(scenario, effects=None, **tolerances):
+    """The same loop by solve_ivp sample by sample, with the PI laws of the reference machine written out here."""
+    plant, eta = WEB_WINDING, WEB_WINDING.effect_vector(effects)
+    x, u0 = plant.equilibrium()
+    full = np.concatenate([x, np.zeros(len(plant.turning))])
+    integral_w = integral_t = 0.0
+    states = []
+    for k in range(len(scenario)):
+        states.append(full[: len(x)])
+        y = dict(zip(plant.output_names, plant.output(full[: len(x)]), strict=True))
+        e_w = scenario.references["w3_set"][k] - y["w3"]
+        e_t = scenario.references["theta_set"][k] - y["theta"]
+        u = [u0[0] - 0.005 * e_t - 0.02 * integral_t, u0[1] + 0.01 * e_w + 0.05 * integral_w]
+        integral_w, integral_t = integral_w + 0.04 * e_w, integral_t + 0.04 * e_t
+
+        def rate(t, z, u=u):
+            rates = plant.derivative(z[:7], plant.drive(u, eta, t), eta=eta, t=t, angle=z[7:])
+            return [*rates, z[0], z[1], z[2]]
+
+        full = solve_ivp(rate, (k * 0.04, (k + 1) * 0.04), full, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+    return np.array(states)
+
+
+def relative(states, truth):
+    return np.abs(states - truth).max(axis=0) / np.abs(truth).max(axis=0)
+
+
+def test_closed_loop_equals_solve_ivp_with_the_loops_of_the_reference_file():
+    scenario = steps()
+    run = simulate(WEB_WINDING, LOOPS, scenario)
+    assert relative(run.states.values, reference_loop(scenario)).max() < 1e-4
+
+
+def test_closed_loop_with_effects_equals_solve_ivp():
+    scenario = steps()
+    effects = {
+        "coulomb@rewind": {"level": 0.002},
+        "eccentricity@unwind": {"cosine": 2e-4, "sine": -1e-4},
+        "slip@pulley": {"creep": 0.05},
+        "saturation@V2": {"limit": 2.4},
+    }
+    run = simulate(WEB_WINDING, LOOPS, scenario, effects=effects)
+    nominal = simulate(WEB_WINDING, LOOPS, scenario)
+    assert relative(run.states.values, reference_loop(scenario, effects)).max() < 1e-4
+    assert relative(run.states.values, nominal.states.values).max() > 1e-2
+
+
+def test_integrator_has_order_four():
+    truth = reference_loop(steps(25))
+    error = [relative(simulate(WEB_WINDING, LOOPS, steps(25), substeps=m).states.values, truth).max() for m in (20, 40, 80)]
+    order = np.log2(np.array(error[:-1]) / error[1:])
+    assert np.all(order > 3.7)
+    assert np.all(order < 4.6)
+
+
+def test_batch_equals_single_runs_to_the_last_bit():
+    scenarios = [steps(40, seed) for seed in range(19)]
+    random = np.random.default_rng(0)
+    parameters = WEB_WINDING.nominal * random.uniform(0.9, 1.1, (19, len(WEB_WINDING.nominal)))
+    names = [p.name for p in WEB_WINDING.parameters]
+    batch = simulate_batch(WEB_WINDING, LOOPS, scenarios, parameters=parameters, substeps=10, threads=2)
+    for i in (0, 7, 16, 18):
+        changed = dict(zip(names, parameters[i], strict=True))
+        run = simulate(WEB_WINDING, LOOPS, scenarios[i], parameters=changed, substeps=10)
+        assert np.array_equal(batch.states[i], run.states.values)
+        assert np.array_equal(batch.measured[i], run.experiment[list(WEB_WINDING.output_names)])
+
+
+def test_switching_effects_on_compiles_nothing(monkeypatch):
+    simulate(WEB_WINDING, LOOPS, steps(5))
+    monkeypatch.setattr(kernel, "write_text", lambda *_: pytest.fail("a kernel was written"))
+    simulate(WEB_WINDING, LOOPS, steps(5), effects={"coulomb@unwind": {"level": 0.001}, "input-delay@V1": {"time": 0.013}})
+    simulate(WEB_WINDING, replace(LOOPS, kp=2 * LOOPS.kp), steps(5))
+
+
+@pytest.mark.parametrize("slot", WEB_WINDING.slots, ids=str)
+def test_every_effect_is_exactly_neutral_at_zero(slot):
+    """A shape far from its default changes nothing while the sizes are 0, and a size that is not 0 changes something."""
+    nominal = simulate(WEB_WINDING, LOOPS, steps(30))
+    if slot.parameter.shape:
+        other = 3.0 * slot.parameter.default
+        run = simulate(WEB_WINDING, LOOPS, steps(30), effects={slot.key: {slot.parameter.name: other}}, substeps=10)
+        assert np.array_equal(run.states.values, nominal.states.values)
+    else:
+        size = {"limit": 2.3, "time": 0.017, "half_width": 0.5, "cosine": 1e-4, "sine": 1e-4}.get(slot.parameter.name, 1e-3)
+        run = simulate(WEB_WINDING, LOOPS, steps(30), effects={slot.key: {slot.parameter.name: size}})
+        changed = not np.array_equal(run.experiment.values, nominal.experiment.values)
+        assert changed or slot.key == "saturation@V1"  # V1 stays far from its limit here
+        zero = simulate(WEB_WINDING, LOOPS, steps(30), effects={slot.key: {slot.parameter.name: 0.0}})
+        assert np.array_equal(zero.experiment.values, nominal.experiment.values)
+
+
+def robot_run(u, **effects):
+    scenario = Scenario("u", {"u": u})
+    sizes = {key.replace("_at_", "@").replace("_", "-"): value for key, value in effects.items()}
+    return simulate(WELDING_ROBOT, Playback(("u",), 0.02), scenario, effects=sizes)
+
+
+INPUT = np.random.default_rng(4).normal(0, 2, 200).round(3)
+
+
+def test_saturation_equals_clipping_the_command():
+    limited = robot_run(INPUT, saturation_at_u={"limit": 1.5})
+    assert np.array_equal(limited.states.values, robot_run(np.clip(INPUT, -1.5, 1.5)).states.values)
+    assert np.array_equal(limited.experiment["u"], INPUT)  # the log keeps the command
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_delay_of_whole_samples_shifts_the_command(samples):
+    delayed = robot_run(INPUT, input_delay_at_u={"time": samples * 0.02})
+    shifted = np.concatenate([np.zeros(samples), INPUT[:-samples]])
+    np.testing.assert_allclose(delayed.states.values, robot_run(shifted).states.values, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("delay", [0.0031, 0.0249, 0.0577])
+def test_fractional_delay_is_exact(delay):
+    """Against the matrix exponential over the two parts of every hold: no integrator error is allowed to hide here."""
+    from scipy.linalg import expm
+
+    A, B, _, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0])
+
+    def advance(x, u, h):
+        block = np.zeros((3, 3))
+        block[:2, :2], block[:2, 2:] = A * h, B * h
+        return (expm(block) @ np.concatenate([x, [u]]))[:2]
+
+    whole, rest = int(delay // 0.02), delay % 0.02
+    command = np.concatenate([np.zeros(whole + 1), INPUT])
+    x, truth = np.zeros(2), []
+    for k in range(len(INPUT)):
+        truth.append(x)
+        x = advance(advance(x, command[k], rest), command[k + 1], 0.02 - rest)
+    run = robot_run(INPUT, input_delay_at_u={"time": delay})
+    # Runge-Kutta at 10 steps a sample leaves some 1e-9 here; a switch on the wrong side of one step leaves 1e-2
+    np.testing.assert_allclose(run.states.values, truth, atol=2e-8)
+
+
+def test_sensor_lag_solves_its_differential_equation():
+    tau, run = 0.05, robot_run(INPUT, sensor_lag_at_v={"time": 0.05})
+    A, B, C, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0])
+    full_A = np.block([[A, np.zeros((2, 1))], [C / tau, -np.ones((1, 1)) / tau]])
+
+    def rate(t, z, u):
+        return full_A @ z + np.append(B[:, 0] * u, 0.0)
+
+    z, truth = np.zeros(3), []
+    for u in INPUT:
+        truth.append(z[2])
+        z = solve_ivp(rate, (0, 0.02), z, args=(u,), rtol=1e-9, atol=1e-12).y[:, -1]
+    error = np.abs(run.experiment["v"] - truth).max() / np.abs(truth).max()
+    assert error < 3e-5
+    # the input is taken as linear within a step: halving the step divides the error by four
+    scenario = Scenario("u", {"u": INPUT})
+    sizes = {"sensor-lag@v": {"time": tau}}
+    fine = simulate(WELDING_ROBOT, Playback(("u",), 0.02), scenario, effects=sizes, substeps=20)
+    assert np.abs(fine.experiment["v"] - truth).max() / np.abs(truth).max() == pytest.approx(error / 4, rel=0.1)
+
+
+def test_backlash_is_the_play_operator_and_symmetric():
+    width, run = 0.05, robot_run(INPUT, backlash_at_v={"half_width": 0.05})
+    truth, logged = run.states["v1"], run.experiment["v"]
+    assert np.all(np.abs(logged - truth) <= width + 1e-12)
+    moved = np.diff(logged) != 0
+    # wherever the sensor moved it stands at one edge of the play
+    assert np.allclose(np.abs(logged - truth)[1:][moved], width, atol=2e-3 * width)
+    assert moved.mean() > 0.2
+    assert (~moved).sum() > 10
+    mirrored = robot_run(-INPUT, backlash_at_v={"half_width": 0.05})
+    np.testing.assert_allclose(mirrored.experiment["v"], -logged, atol=1e-15)
+
+
+def test_coulomb_friction_only_takes_energy_and_holds_a_small_force():
+    level = {"level": 5.0, "width": 0.001}
+    t = np.arange(2000) * 0.001
+    push = simulate(
+        POSITIONING_AXIS,
+        Playback(("F",), 0.001),
+        Scenario("push", {"F": np.where(t < 1, 4.0, 0.0)}),
+        effects={"coulomb@slide": level},
+    )
+    free = simulate(POSITIONING_AXIS, Playback(("F",), 0.001), Scenario("push", {"F": np.where(t < 1, 4.0, 0.0)}))
+    # 4 N against 5 N of dry friction: the slide creeps with the smoothed law, F = level tanh(v/width) + Fv v
+    assert free.states["v"].max() > 10 * push.states["v"].max()
+    v = push.states["v"][990]
+    assert 5.0 * np.tanh(v / 0.001) + 200 * v == pytest.approx(4.0, rel=1e-2)
+    assert np.all(np.diff(push.states["v"][1001:]) <= 1e-15)
+
+
+def test_noise_has_the_stated_deviation_and_follows_the_seed():
+    runs = [simulate(WEB_WINDING, LOOPS, steps(2000, seed)) for seed in (5, 5, 6)]
+    assert np.array_equal(runs[0].experiment.values, runs[1].experiment.values)
+    assert not np.array_equal(runs[0].experiment.values, runs[2].experiment.values)
+    for name, std in WEB_WINDING.noise.items():
+        truth = runs[0].states[name] if name != "theta" else (runs[0].states["T1"] - 0.30) / 0.01
+        assert np.std(runs[0].experiment[name] - truth) == pytest.approx(std, rel=0.08)
+
+
+def test_replaying_the_inputs_of_a_run_gives_its_outputs():
+    run = simulate(WEB_WINDING, LOOPS, steps(200))
+    again = replay(WEB_WINDING, run.experiment)
+    for name in WEB_WINDING.output_names:
+        np.testing.assert_allclose(again.experiment[name], run.experiment[name], rtol=1e-9, atol=1e-9)
+
+
+def test_slow_controller_holds_its_output():
+    u = simulate(WEB_WINDING, replace(LOOPS, dt=0.12), steps(31, seed=1)).experiment[["V1", "V2"]]
+    assert np.array_equal(u[1::3], u[0:30:3])
+    assert np.array_equal(u[2::3], u[0:29:3])
+    assert not np.array_equal(u[3], u[2])
+
+
+def test_bad_requests_are_refused_by_name():
+    with pytest.raises(InputError, match=r"coulomb@unwnd.*\n.*coulomb@unwind"):
+        simulate(WEB_WINDING, LOOPS, steps(5), effects={"coulomb@unwnd": {"level": 1.0}})
+    with pytest.raises(InputError, match="outside"):
+        simulate(WEB_WINDING, LOOPS, steps(5), effects={"coulomb@unwind": {"level": -1.0}})
+    with pytest.raises(InputError, match="whole multiple"):
+        simulate(WEB_WINDING, replace(LOOPS, dt=0.05), steps(5))
+    with pytest.raises(InputError, match="no set-point 'theta_set'"):
+        simulate(WEB_WINDING, LOOPS, Scenario("half", {"w3_set": np.full(5, 100.0)}))
+    with pytest.raises(InputError, match=r"channel T1: .* N at t = .* s, outside \[-5, 50\] N"):
+        simulate(WEB_WINDING, replace(LOOPS, kp=300 * LOOPS.kp), steps(2000))
+
+
+def test_plans_of_every_machine_run():
+    from studies.experiments import EXPERIMENTS, PLANTS
+
+    assert set(EXPERIMENTS) == set(PLANTS)
+    for plant, experiments in EXPERIMENTS.items():
+        for name in experiments:
+            chosen = plan(plant, name)
+            run = simulate(PLANTS[plant], chosen.controller, chosen.scenario(1))
+            assert len(run.experiment) >= 2000
