@@ -274,7 +274,7 @@ def _longest_run(mask: np.ndarray) -> int:
 def _quantum(experiment: Experiment) -> Iterator[Advice]:
     for channel, x in _of(experiment, "output", "schedule", "other"):
         q = quantum(x)
-        if q > 2 * _noise(x):
+        if q > 1.5 * _noise(x):  # the typical second difference is at most one step
             share = q / float(np.std(x))
             sentence = f"moves in steps of {q:.4g} {channel.unit}".rstrip() + f", {100 * share:.2g} % of its spread"
             mend = "; treat the steps as a bound on the error" if share > 0.05 else ""

@@ -86,7 +86,9 @@ class Experiment:
             ("other", other or {}),
         )
         units = units or {}
-        columns = [(key, role, np.asarray(array, float)) for role, group in groups for key, array in group.items()]
+        columns: list[tuple[str, Role, np.ndarray]] = []
+        for role, group in groups:
+            columns += [(key, role, np.asarray(array, float)) for key, array in group.items()]
         if not columns:
             raise InputError("no channels", file=name, mend="give at least one array")
         for key in units:

@@ -1,0 +1,180 @@
+"""Advice: each kind is given where it holds and only there; closed loops are found at a calibrated level."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from workbench.advice import advice, feedback, quantum
+from workbench.data import Channel, Dataset, Experiment
+from workbench.errors import InputError
+from workbench.readers import read
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+
+def run(seed: int, gain: float, *, count: int = 1500, hold: int = 1, soft: float = 0.0) -> Experiment:
+    """x+ = 1.5 x - 0.56 x- + 0.06 u / (1 + soft x^2), y = x + colour, u = d - gain y - integral: closed for gain > 0."""
+    g = np.random.default_rng(seed)
+    u, y = np.zeros(count), np.zeros(count)
+    d = np.repeat(g.choice([-1.0, 1.0], count // hold + 1), hold)[:count]
+    e = 0.3 * g.standard_normal(count)
+    x = before = colour = integral = 0.0
+    for k in range(count):
+        colour = 0.8 * colour + e[k]
+        y[k] = x + colour
+        integral += 0.05 * gain * y[k]
+        u[k] = d[k] - gain * y[k] - integral
+        x, before = 1.5 * x - 0.56 * before + 0.06 * u[k] / (1.0 + soft * x * x), x
+    return Experiment.from_arrays("run", 0.1, inputs={"u": u}, outputs={"y": y})
+
+
+# held inputs and a nonlinear plant break tests that take the input's linear residual for white everywhere
+@pytest.mark.parametrize(("hold", "soft"), [(1, 0.0), (5, 0.0), (5, 1.0)])
+def test_open_loop_records_are_not_flagged(hold, soft):
+    assert sum(feedback(run(seed, 0.0, hold=hold, soft=soft)).detected for seed in range(60)) <= 3
+
+
+@pytest.mark.parametrize("hold", [1, 5])
+def test_closed_loop_records_are_flagged(hold):
+    assert sum(feedback(run(seed, 1.0, hold=hold)).detected for seed in range(60)) >= 58
+
+
+def test_the_pair_that_closes_the_loop_is_named():
+    closed, free = run(1, 1.0), run(2, 0.0)
+    both = Experiment.from_arrays(
+        "run", 0.1, inputs={"free": free["u"], "u": closed["u"]}, outputs={"z": free["y"], "y": closed["y"]}
+    )
+    found = feedback(both)
+    assert (found.input, found.output) == ("u", "y")
+    assert found.lag >= 1
+
+
+def test_a_fixed_law_in_a_logged_set_point_is_a_closed_loop():
+    g = np.random.default_rng(5)
+    count = 600
+    r = np.repeat(g.choice([-1.0, 1.0], count // 20), 20)
+    u, y = np.zeros(count), np.zeros(count)
+    for k in range(1, count):  # no noise at all: there are no innovations to answer
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1]
+        u[k] = 2.0 * (r[k] - y[k])
+    made = Experiment.from_arrays("run", 0.1, inputs={"u": u}, outputs={"y": y}, references={"y_set": r})
+    assert feedback(made).detected
+    idle = Experiment.from_arrays(
+        "run", 0.1, inputs={"u": run(1, 0.0)["u"][:count]}, outputs={"y": y}, references={"y_set": r}
+    )
+    assert feedback(idle).law > 0.5
+
+
+def test_feedback_needs_an_input_an_output_and_samples():
+    record = run(1, 0.0, count=300)
+    with pytest.raises(InputError, match="no input or no output"):
+        feedback(record.select(["y"]))
+    with pytest.raises(InputError, match="too few"):
+        feedback(record.trim(stop=3.0))
+
+
+@pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="measured data not here: expected ../shared/data/emps")
+def test_the_measured_axis_is_known_to_run_in_closed_loop():
+    assert feedback(read(DATA / "emps" / "DATA_EMPS.mat")).detected
+
+
+# ---- the other kinds -------------------------------------------------------------------------------------------------
+
+
+def kinds(*records: Experiment, order: int | None = None) -> dict[str, str]:
+    """Channel by kind of advice."""
+    return {found.kind: found.channel for found in advice(Dataset(records), order=order)}
+
+
+def made(y: np.ndarray, unit: str = "", u: np.ndarray | None = None, **schedule: np.ndarray) -> Experiment:
+    u = np.random.default_rng(9).choice([-1.0, 1.0], len(y)) if u is None else u
+    return Experiment.from_arrays(
+        "run", 0.1, inputs={"u": u}, outputs={"y": y}, schedule=schedule, units={"y": unit} if unit else None
+    )
+
+
+NOISE = np.random.default_rng(8).standard_normal(1000)
+SINE = np.sin(np.arange(1000) / 30.0)
+
+
+def test_a_good_record_gets_no_advice():
+    assert not advice(Dataset((run(3, 0.0),)), order=4)
+
+
+def test_constant_channels_are_named():
+    assert kinds(made(0 * NOISE + 3.0)) == {"constant": "y"}
+    assert kinds(made(NOISE, u=np.ones(1000)))["constant"] == "u"
+
+
+def test_clipping_is_many_equal_samples_in_runs_at_an_end():
+    assert kinds(made(np.minimum(SINE + 0.01 * NOISE, 0.8)))["clipped"] == "y"
+    assert kinds(made(np.maximum(SINE + 0.01 * NOISE, -0.8)))["clipped"] == "y"
+    assert "clipped" not in kinds(made(SINE + 0.01 * NOISE))
+    assert "clipped" not in kinds(made(np.round(SINE, 1) + 0.0))  # coarse steps dwell at the ends
+    assert "clipped" not in kinds(made(np.sign(NOISE)))  # switched between two levels
+
+
+@pytest.mark.parametrize("step", [0.05, 1 / 64, 0.0123])
+def test_the_quantum_of_a_channel_is_its_step(step):
+    assert quantum(0.3 + step * np.round(SINE / step)) == pytest.approx(step, rel=1e-9)
+    assert quantum(SINE) == 0.0
+    assert kinds(made(step * np.round(SINE / step)))["quantum"] == "y"
+    fine_steps = 1e-3 * np.round(1000 * (SINE + 0.1 * NOISE))
+    assert "quantum" not in kinds(made(fine_steps))  # finer than the noise: no matter
+
+
+def test_single_samples_that_stand_out_are_outliers_and_steps_are_not():
+    spike = SINE + 0.01 * NOISE
+    spike[500] += 3.0
+    assert kinds(made(spike))["outliers"] == "y"
+    assert "outliers" not in kinds(made(SINE + 0.01 * NOISE + 3.0 * (np.arange(1000) > 500)))
+
+
+def test_implausible_magnitudes_suggest_the_unit():
+    (found,) = [a for a in advice(Dataset((made(100 + NOISE, "m"),))) if a.kind == "magnitude"]
+    assert "is it in mm?" in found.sentence
+    assert found.severity == "note"
+    assert "magnitude" not in kinds(made(1 + 0.1 * NOISE, "m"))
+
+
+def stamped(t: np.ndarray) -> Experiment:
+    return Experiment("run", t, (Channel("y", "", "output"),), np.random.default_rng(1).standard_normal((len(t), 1)), 1.0)
+
+
+def test_jitter_and_faults_of_the_stamps():
+    t = np.arange(100.0)
+    assert "jitter" not in kinds(stamped(t + 0.004 * (np.arange(100) % 2)))
+    assert kinds(stamped(t + 0.05 * (np.arange(100) % 2)))["jitter"] == "t"
+    for fault, bad in (("gap", t + 5.0 * (t > 50)), ("repeated", t - (t > 50)), ("backwards", t - 3.0 * (t > 50))):
+        sentences = [a.sentence for a in advice(Dataset((stamped(bad),))) if a.kind == "stamps"]
+        assert len(sentences) == 1
+        assert fault in sentences[0]
+
+
+def test_a_poor_input_is_named():
+    assert kinds(made(NOISE, u=1.0 * (np.arange(1000) > 500)))["excitation"] == "u"  # one step
+    assert kinds(made(NOISE, u=SINE))["excitation"] == "u"  # one sine excites two directions
+    assert "excitation" not in kinds(made(NOISE))
+
+
+def test_two_inputs_that_move_together_are_a_poor_input():
+    u = np.random.default_rng(9).choice([-1.0, 1.0], 1000)
+    twins = Experiment.from_arrays("run", 0.1, inputs={"a": u, "b": 2 * u}, outputs={"y": NOISE})
+    assert kinds(twins)["excitation"] == "a, b"
+
+
+def test_too_short_depends_on_the_order_asked():
+    record = run(3, 0.0, count=150)
+    assert "too-short" not in kinds(record, order=2)
+    assert "too-short" in kinds(record, order=20)
+    assert "too-short" not in kinds(record)
+
+
+def test_the_span_of_the_schedule_is_that_of_all_records():
+    low, high = made(NOISE, r2=np.linspace(0.05, 0.07, 1000)), made(NOISE, r2=np.linspace(0.1, 0.12, 1000))
+    (found,) = [a for a in advice(Dataset((low, high))) if a.kind == "schedule-span"]
+    assert "from 0.05 to 0.12" in found.sentence
+    assert found.severity == "note"
+    (still,) = [a for a in advice(Dataset((made(NOISE, r2=0.1 + 1e-6 * NOISE),))) if a.kind == "schedule-span"]
+    assert still.severity == "warning"
