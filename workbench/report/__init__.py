@@ -1,0 +1,18 @@
+"""Reports: one self-contained page, pictures first, the numbers behind every picture one click away.
+
+The page needs no matplotlib; only `workbench.report.figures` imports it, and nothing else in the library does.
+"""
+
+from workbench.report.page import (
+    Column,
+    Data,
+    Picture,
+    Provenance,
+    Report,
+    Section,
+    Table,
+    Text,
+    write_report,
+)
+
+__all__ = ["Column", "Data", "Picture", "Provenance", "Report", "Section", "Table", "Text", "write_report"]

@@ -1,0 +1,349 @@
+"""The report: a page that opens from disk, verdict first, then pictures and tables, each with its numbers as CSV.
+
+report = Report("Web winding machine", "SSM names ...", (Section("Models", (picture, table)),))
+write_report(report, "runs/1")      # runs/1/report.html and runs/1/data/*.csv
+"""
+
+import csv
+import html
+import io
+import math
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TypeGuard
+from urllib.parse import quote
+
+import numpy as np
+
+from workbench.files import write_text
+from workbench.records import RecordError, record
+from workbench.report.sheet import SCRIPT, STYLE
+from workbench.report.svg import embed, printable
+
+Cell = str | float | int | None
+
+#: Makes the promise of one file checkable: a browser refuses whatever is not inside.
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
+#: Data of more characters than this are not repeated inside the page, which then links to the file beside it.
+INLINE = 1_000_000
+
+
+@record
+class Column:
+    """A named column with its unit: numbers or texts."""
+
+    name: str
+    values: Sequence[Cell] | np.ndarray
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+@record
+class Data:
+    """The numbers behind a picture: named columns of one length."""
+
+    name: str
+    columns: tuple[Column, ...]
+
+    def __post_init__(self):
+        lengths = {str(column): len(column.values) for column in self.columns}
+        if len(set(lengths.values())) > 1:
+            raise RecordError(f"Data {self.name!r}: columns of different lengths {lengths}")
+
+
+@record
+class Picture:
+    """A picture (SVG) under its title, with a caption, the numbers behind it, and what it shows in words."""
+
+    title: str
+    figure_svg: str
+    caption: str
+    data: Data
+    alt: str = ""
+
+
+@record
+class Table:
+    """Rows of numbers and texts; the first column names the row. Units belong into the header.
+
+    best: `max` or `min` sets the best number of every row in bold. digits: of the largest number of a column.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    caption: str = ""
+    best: Callable[[Iterable[float]], float] | None = None
+    digits: int = 4
+
+    def __post_init__(self):
+        for row in self.rows:
+            if len(row) != len(self.header):
+                raise RecordError(f"Table {self.title!r}: {len(row)} cells in {row}, {len(self.header)} in the header")
+
+    @property
+    def data(self) -> Data:
+        """The numbers of the table, unrounded."""
+        return Data(self.title, tuple(Column(h, [row[i] for row in self.rows]) for i, h in enumerate(self.header)))
+
+
+@record
+class Text:
+    """Plain text; an empty line starts a new paragraph."""
+
+    text: str
+
+
+@record
+class Provenance:
+    """Where the numbers come from: data hash, configuration, versions, seed. Nested mappings are indented."""
+
+    content: Mapping[str, object]
+    title: str = "Provenance"
+
+
+Block = Picture | Table | Text | Provenance
+
+
+@record
+class Section:
+    """A part of a report under its own heading."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@record
+class Report:
+    """A title, the verdict in one paragraph, and what it rests on."""
+
+    title: str
+    verdict: str
+    sections: tuple[Section, ...] = ()
+
+
+def write_report(report: Report, folder: str | Path) -> Path:
+    """Write `report.html`, one file that needs nothing else, and the numbers as `data/*.csv`; returns the page's path.
+
+    Everything is put together before the first file is written, the page comes last, and what a failed attempt has newly
+    written is removed again.
+    """
+    folder = Path(folder)
+    names = _file_names(report)
+    tables = {folder / "data" / names[id(block)]: csv_text(block.data) for block in _with_data(report)}
+    page = html_text(report)
+    new = [path for path in tables if not path.exists()]
+    try:
+        for path, text in tables.items():
+            write_text(path, text)
+        return write_text(folder / "report.html", page)
+    except BaseException:
+        for path in new:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def csv_text(data: Data) -> str:
+    """The columns as CSV, names with units in the first row, every number exactly as in memory, NaN as an empty cell."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([printable(str(column)) for column in data.columns])
+    writer.writerows(zip(*([_csv_cell(cell) for cell in _cells(column)] for column in data.columns), strict=True))
+    return stream.getvalue()
+
+
+def html_text(report: Report) -> str:
+    """The report as one HTML page with style, script, pictures and data inside."""
+    names = _file_names(report)
+    sections = [
+        f'<section aria-labelledby="s{i}"><h2 id="s{i}">{_escape(section.title)}</h2>\n'
+        + "\n".join(_block(block, f"s{i}-{j}", names.get(id(block), "")) for j, block in enumerate(section.blocks, 1))
+        + "</section>"
+        for i, section in enumerate(report.sections, 1)
+    ]
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<title>{_escape(report.title)}</title>
+<style>{STYLE}</style>
+</head>
+<body>
+<a class="skip" href="#main">To the verdict</a>
+{_contents(report)}
+<main id="main">
+<header><h1>{_escape(report.title)}</h1>
+<p class="verdict">{_escape(report.verdict)}</p></header>
+{chr(10).join(sections)}
+</main>
+<script>{SCRIPT}</script>
+</body>
+</html>
+"""
+
+
+def _with_data(report: Report) -> Iterator[Picture | Table]:
+    for section in report.sections:
+        yield from (block for block in section.blocks if isinstance(block, Picture | Table))
+
+
+def _file_names(report: Report) -> dict[int, str]:
+    """A file name for the numbers of every block, by the block's identity."""
+    return {id(block): f"{i:02d}-{_slug(block.data.name)}.csv" for i, block in enumerate(_with_data(report), 1)}
+
+
+def _slug(text: str) -> str:
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+    return re.sub("[^a-z0-9]+", "-", plain).strip("-")[:60].strip("-") or "data"
+
+
+def _contents(report: Report) -> str:
+    if not report.sections:
+        return ""
+    items = []
+    for i, section in enumerate(report.sections, 1):
+        titles = [(f"s{i}-{j}", block.title) for j, block in enumerate(section.blocks, 1) if not isinstance(block, Text)]
+        inner = "".join(f'<li><a href="#{anchor}">{_escape(title)}</a></li>' for anchor, title in titles)
+        items.append(f'<li><a href="#s{i}">{_escape(section.title)}</a>{f"<ol>{inner}</ol>" if inner else ""}</li>')
+    return f'<nav aria-label="Contents"><p>Contents</p><ol>{"".join(items)}</ol></nav>'
+
+
+def _block(block: Block, anchor: str, file: str) -> str:
+    match block:
+        case Picture():
+            return _picture(block, anchor, file)
+        case Table():
+            return _table(block, anchor, file)
+        case Provenance():
+            return _provenance(block, anchor)
+        case Text():
+            return _paragraphs(block.text)
+
+
+def _picture(picture: Picture, anchor: str, file: str) -> str:
+    drawing = embed(picture.figure_svg, anchor, picture.alt or picture.title, f"{anchor}-caption")
+    return (
+        f'<figure id="{anchor}"><h3>{_escape(picture.title)}</h3>\n'
+        f'<div class="picture">{drawing}</div>\n'
+        f'<figcaption><span id="{anchor}-caption">{_escape(picture.caption)}</span> '
+        f"{_download(picture.data, file)}</figcaption></figure>"
+    )
+
+
+def _table(table: Table, anchor: str, file: str) -> str:
+    shown = _shown(table)
+    numeric = [any(_is_number(row[i]) for row in table.rows) for i in range(len(table.header))]
+    mark = [' class="n"' if n else "" for n in numeric]
+    head = "".join(f'<th scope="col"{m}>{_escape(h)}</th>' for h, m in zip(table.header, mark, strict=True))
+    body = "\n".join(_row(row, texts, mark, _best(table, row)) for row, texts in zip(table.rows, shown, strict=True))
+    return (
+        f'<div class="table" id="{anchor}"><h3 id="{anchor}-title">{_escape(table.title)}</h3>\n'
+        f'<div class="scroll" role="region" tabindex="0" aria-labelledby="{anchor}-title"><table>'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>\n"
+        f'<p class="caption">{_escape(table.caption)} {_download(table.data, file)}</p></div>'
+    )
+
+
+def _row(row: tuple[Cell, ...], texts: list[str], mark: list[str], best: float | None) -> str:
+    first, *rest = (_escape(text) for text in texts)
+    rest = [
+        f"<td{m}><strong>{text}</strong></td>" if best is not None and cell == best else f"<td{m}>{text}</td>"
+        for cell, text, m in zip(row[1:], rest, mark[1:], strict=True)
+    ]
+    return f'<tr><th scope="row"{mark[0]}>{first}</th>{"".join(rest)}</tr>'
+
+
+def _best(table: Table, row: tuple[Cell, ...]) -> float | None:
+    numbers = [cell for cell in row[1:] if _is_number(cell)]
+    return table.best(numbers) if table.best and len(numbers) > 1 else None
+
+
+def _shown(table: Table) -> list[list[str]]:
+    """The cells as texts: the numbers of a column have the same decimals, chosen by the largest."""
+    columns = [[row[i] for row in table.rows] for i in range(len(table.header))]
+    texts = [_column_texts(column, table.digits) for column in columns]
+    return [[column[k] for column in texts] for k in range(len(table.rows))]
+
+
+def _column_texts(column: list[Cell], digits: int) -> list[str]:
+    sizes = [abs(cell) for cell in column if _is_number(cell) and cell]
+    if not sizes or all(isinstance(cell, int | np.integer) for cell in column if _is_number(cell)):
+        return [_text(cell, "d") for cell in column]
+    top = math.floor(math.log10(max(sizes)))
+    plain = -4 <= top < 7 and min(sizes) >= 10.0 ** (top - digits)
+    form = f".{max(0, digits - 1 - top)}f" if plain else f".{digits - 1}e"
+    return [_text(cell, form) for cell in column]
+
+
+def _text(cell: Cell, form: str) -> str:
+    if cell is None or (isinstance(cell, float | np.floating) and math.isnan(cell)):
+        return "\N{EM DASH}"
+    if isinstance(cell, str | bool | np.bool):
+        return str(cell)
+    if math.isinf(cell):
+        return "\N{MINUS SIGN}\N{INFINITY}" if cell < 0 else "\N{INFINITY}"
+    return format(int(cell) if form == "d" else cell, form).replace("-", "\N{MINUS SIGN}")
+
+
+def _is_number(cell: object) -> TypeGuard[float]:
+    if isinstance(cell, bool | np.bool):
+        return False
+    return isinstance(cell, int | float | np.integer | np.floating) and math.isfinite(cell)
+
+
+def _provenance(block: Provenance, anchor: str) -> str:
+    rows = "\n".join(
+        f'<tr><th scope="row">{_escape(key)}</th><td>{_escape(value)}</td></tr>' for key, value in _flat(block.content)
+    )
+    return (
+        f'<div class="table provenance" id="{anchor}"><h3 id="{anchor}-title">{_escape(block.title)}</h3>\n'
+        f'<div class="scroll" role="region" tabindex="0" aria-labelledby="{anchor}-title">'
+        f'<table><thead><tr><th scope="col">item</th><th scope="col">value</th></tr></thead>\n'
+        f"<tbody>{rows}</tbody></table></div></div>"
+    )
+
+
+def _flat(content: Mapping[str, object], path: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in content.items():
+        name = f"{path} \N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK} {key}" if path else str(key)
+        if isinstance(value, Mapping):
+            yield from _flat(value, name)
+        elif isinstance(value, list | tuple):
+            yield name, ", ".join(str(item) for item in value)
+        else:
+            yield name, str(value)
+
+
+def _download(data: Data, file: str) -> str:
+    text = csv_text(data)
+    what = f"{len(data.columns)} columns \N{MULTIPLICATION SIGN} {len(data.columns[0].values) if data.columns else 0} rows"
+    if len(text) > INLINE:
+        return f'<a class="data" href="data/{file}" download="{file}">CSV beside this page</a> <small>({what})</small>'
+    uri = "data:text/csv;charset=utf-8," + quote(text, safe=",")
+    return f'<a class="data" href="{uri}" download="{file}" title="{what}">CSV</a>'
+
+
+def _paragraphs(text: str) -> str:
+    return "\n".join(f"<p>{_escape(part.strip())}</p>" for part in re.split(r"\n\s*\n", text) if part.strip())
+
+
+def _cells(column: Column) -> Sequence[Cell]:
+    return column.values.tolist() if isinstance(column.values, np.ndarray) else column.values
+
+
+def _csv_cell(cell: Cell) -> str:
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return ""
+    return printable(cell) if isinstance(cell, str) else repr(cell.item() if isinstance(cell, np.generic) else cell)
+
+
+def _escape(text: str) -> str:
+    return html.escape(printable(str(text)), quote=True)

@@ -1,0 +1,102 @@
+"""The style and the script of the page; the page works without the script, which only enlarges pictures."""
+
+from workbench.report.palette import COLOURS
+
+_LIGHT = "".join(f"--{colour.name}:{colour.light};" for colour in COLOURS)
+_DARK = "".join(f"--{colour.name}:{colour.dark};" for colour in COLOURS)
+
+STYLE = f"""
+:root{{color-scheme:light dark;{_LIGHT}}}
+@media screen and (prefers-color-scheme:dark){{:root{{{_DARK}}}}}
+*{{box-sizing:border-box}}
+html{{scroll-behavior:smooth;scroll-padding-top:1rem;-webkit-text-size-adjust:100%}}
+body{{margin:0 auto;max-width:78rem;padding:0 1.5rem 4rem;background:var(--paper);color:var(--ink);
+ font:1rem/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue","Noto Sans",Arial,sans-serif;
+ display:grid;grid-template-columns:14rem minmax(0,54rem);column-gap:3.5rem}}
+main{{grid-column:2}}
+h1,h2,h3{{line-height:1.2;font-weight:650;overflow-wrap:anywhere;text-wrap:balance}}
+h1{{font-size:2rem;letter-spacing:-.015em;margin:2.75rem 0 1.1rem}}
+h2{{font-size:1.35rem;margin:3.25rem 0 1rem;padding-top:.9rem;border-top:1px solid var(--grid)}}
+h3{{font-size:1rem;margin:0 0 .6rem}}
+p{{max-width:42rem;margin:.75rem 0;overflow-wrap:anywhere}}
+a{{color:var(--accent);text-underline-offset:.18em;text-decoration-thickness:.06em}}
+a:focus-visible,button:focus-visible,
+[tabindex]:focus-visible{{outline:2px solid var(--accent);outline-offset:3px;border-radius:2px}}
+.skip{{position:absolute;left:-99rem}}
+.skip:focus{{left:1rem;top:1rem;background:var(--paper);padding:.5rem;z-index:2}}
+.verdict{{font-size:1.2rem;line-height:1.5;max-width:none;margin:0;padding:1.1rem 1.4rem;background:var(--card);
+ border-left:4px solid var(--accent);border-radius:0 6px 6px 0}}
+nav{{grid-column:1;position:sticky;top:0;align-self:start;max-height:100vh;overflow-y:auto;padding:3.1rem .25rem 2rem 0;
+ font-size:.85rem;line-height:1.35}}
+nav p{{margin:0 0 .6rem;color:var(--muted);font-weight:600}}
+nav ol{{list-style:none;margin:0;padding:0}}
+nav li{{margin:.45rem 0;overflow-wrap:anywhere}}
+nav li ol{{padding-left:.8rem;border-left:1px solid var(--grid)}}
+nav li li a{{color:var(--muted)}}
+nav a{{text-decoration:none}}
+nav a:hover{{text-decoration:underline}}
+figure,.table{{margin:1.75rem 0 2.5rem}}
+.picture{{overflow-x:auto}}
+.picture svg{{display:block;width:100%;min-width:33rem;height:auto;overflow:hidden}}
+svg *{{stroke-linejoin:round;stroke-linecap:butt}}
+svg text{{font-family:inherit;font-variant-numeric:tabular-nums}}
+figcaption,.caption{{color:var(--muted);font-size:.88rem;line-height:1.45;max-width:42rem;margin:.6rem 0 0}}
+.data{{white-space:nowrap;font-weight:600;margin-left:.35em}}
+.scroll{{overflow-x:auto}}
+table{{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums lining-nums}}
+th,td{{text-align:left;padding:.36rem 1.4rem .36rem 0;vertical-align:baseline;border-bottom:1px solid var(--grid)}}
+thead th{{color:var(--muted);font-weight:600;vertical-align:bottom;border-bottom:1.5px solid var(--muted)}}
+tbody th{{font-weight:400}}
+th.n,td.n{{text-align:right;padding-left:.9rem;padding-right:.6rem;white-space:nowrap}}
+thead th.n{{white-space:normal}}
+td strong{{font-weight:700;color:var(--accent)}}
+.provenance td{{overflow-wrap:anywhere;font-size:.82rem;
+ font-family:ui-monospace,"SF Mono",Consolas,"DejaVu Sans Mono",monospace}}
+.provenance th[scope=row]{{color:var(--muted);white-space:nowrap}}
+button{{font:inherit;font-weight:600;color:var(--accent);background:none;border:0;padding:0;margin-left:.9em;cursor:pointer}}
+dialog{{width:96vw;max-width:none;max-height:96vh;border:0;border-radius:8px;padding:1.25rem;background:var(--paper);color:var(--ink)}}
+dialog svg{{display:block;width:100%;max-height:84vh;min-width:0}}
+dialog::backdrop{{background:rgb(0 0 0/.6)}}
+dialog button{{display:block;margin:0 0 .5rem auto}}
+@media (max-width:66rem){{
+ body{{display:block;max-width:58rem;padding:0 1.1rem 3rem}}
+ nav{{position:static;max-height:none;padding:1rem 0 0}}
+ nav p,nav li ol{{display:none}}
+ nav ol{{display:flex;flex-wrap:wrap;gap:.2rem 1.1rem}}
+ h1{{font-size:1.6rem;margin-top:1.5rem}}
+ .verdict{{font-size:1.08rem;padding:.9rem 1.1rem}}
+ dialog svg{{min-width:44rem}}
+}}
+@media print{{
+ body{{display:block;max-width:none;padding:0;font-size:10pt}}
+ nav,.skip,.data,button{{display:none}}
+ figure,.table,.verdict{{break-inside:avoid}}
+ h2,h3{{break-after:avoid}}
+ .picture,.scroll{{overflow:visible}}
+ .picture svg{{min-width:0}}
+ @page{{margin:18mm 16mm}}
+}}
+@media (prefers-reduced-motion:reduce){{html{{scroll-behavior:auto}}}}
+"""
+
+# the drawing moves into the dialog and back: a copy would repeat its ids
+SCRIPT = """
+for (const figure of document.querySelectorAll("figure")) {
+  const place = figure.querySelector(".picture"), svg = place.querySelector("svg");
+  const open = document.createElement("button");
+  open.type = "button"; open.textContent = "Enlarge";
+  open.setAttribute("aria-label", "Enlarge: " + figure.querySelector("h3").textContent);
+  const enlarge = () => {
+    const dialog = document.createElement("dialog"), close = document.createElement("button");
+    dialog.setAttribute("aria-label", figure.querySelector("h3").textContent);
+    close.type = "button"; close.textContent = "Close"; close.onclick = () => dialog.close();
+    dialog.onclick = event => { if (event.target === dialog) dialog.close(); };
+    place.style.minHeight = place.offsetHeight + "px";
+    dialog.onclose = () => { place.append(svg); place.style.minHeight = ""; dialog.remove(); open.focus(); };
+    dialog.append(close, svg); document.body.append(dialog); dialog.showModal();
+  };
+  open.onclick = enlarge;
+  svg.style.cursor = "zoom-in"; svg.onclick = () => { if (place.contains(svg)) enlarge(); };
+  figure.querySelector("figcaption").append(open);
+}
+"""
