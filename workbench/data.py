@@ -78,33 +78,31 @@ class Experiment:
 
         Raises InputError for arrays of different lengths, numbers that are not finite, units of unknown channels.
         """
-        groups: tuple[tuple[Role, Mapping[str, np.ndarray]], ...] = (
-            ("input", inputs or {}),
-            ("output", outputs or {}),
-            ("schedule", schedule or {}),
-            ("reference", references or {}),
-            ("other", other or {}),
-        )
         units = units or {}
-        columns: list[tuple[str, Role, np.ndarray]] = []
-        for role, group in groups:
-            columns += [(key, role, np.asarray(array, float)) for key, array in group.items()]
+        columns = [
+            *_columns("input", inputs, units),
+            *_columns("output", outputs, units),
+            *_columns("schedule", schedule, units),
+            *_columns("reference", references, units),
+            *_columns("other", other, units),
+        ]
         if not columns:
             raise InputError("no channels", file=name, mend="give at least one array")
+        names = [channel.name for channel, _ in columns]
         for key in units:
-            check_known("channel", key, [column[0] for column in columns], file=name)
-        first, _, reference = columns[0]
-        for key, _, array in columns:
+            check_known("channel", key, names, file=name)
+        reference = columns[0][1]
+        for channel, array in columns:
             if array.ndim != 1 or len(array) != len(reference):
                 raise InputError(
-                    f"shape {array.shape}, expected ({len(reference)},) as in {first}",
+                    f"shape {array.shape}, expected ({len(reference)},) as in {names[0]}",
                     file=name,
-                    channel=key,
+                    channel=channel.name,
                     mend="give one number per sample",
                 )
-        values = np.column_stack([array for _, _, array in columns])
-        _check_finite(name, [column[0] for column in columns], values)
-        channels = tuple(Channel(key, units.get(key, ""), role) for key, role, _ in columns)
+        values = np.column_stack([array for _, array in columns])
+        _check_finite(name, names, values)
+        channels = tuple(channel for channel, _ in columns)
         return cls(name, np.arange(len(reference)) * float(dt), channels, values, dt)
 
     def __len__(self) -> int:
@@ -304,6 +302,12 @@ def bad_stamps(t: np.ndarray, dt: float) -> Iterator[BadStamp]:
     for k in np.flatnonzero(~((steps > 0) & (steps <= GAP * dt))):
         fault: StampFault = "repeated" if steps[k] == 0 else "backwards" if steps[k] < 0 else "gap"
         yield BadStamp(fault, int(k) + 1, t[k], t[k + 1])
+
+
+def _columns(
+    role: Role, group: Mapping[str, np.ndarray] | None, units: Mapping[str, str]
+) -> list[tuple[Channel, np.ndarray]]:
+    return [(Channel(name, units.get(name, ""), role), np.asarray(x, float)) for name, x in (group or {}).items()]
 
 
 def _check_finite(name: str, names: Sequence[str], values: np.ndarray) -> None:
