@@ -79,7 +79,7 @@ class L2:
     def smallest(self, Psi: np.ndarray, Y: np.ndarray) -> Solution:
         """min ||Y - Psi theta||_2: least squares in an orthonormal basis of the range."""
         Psi, Y = self.compress(Psi, Y)
-        Q, back = _range(Psi)
+        Q, back = orthonormal_range(Psi)
         z = Q.T @ Y
         z += Q.T @ (Y - Q @ z)  # one refinement
         theta = back @ z
@@ -121,7 +121,7 @@ class L2:
     def intervals(self, Psi: np.ndarray, Y: np.ndarray, mu: float) -> Intervals:
         """The ellipsoid's extent: theta_LS +- sqrt((mu^2 - mu_min^2) diag (Psi'Psi)^-1)."""
         best = self.smallest(Psi, Y)
-        _, back = _range(self.compress(Psi, Y)[0])
+        _, back = orthonormal_range(self.compress(Psi, Y)[0])
         if back.shape[1] < Psi.shape[1]:
             return Intervals(np.full(Psi.shape[1], -np.inf), np.full(Psi.shape[1], np.inf))
         half = np.sqrt(max(mu**2 - best.mu**2, 0.0)) * np.linalg.norm(back, axis=1)
@@ -153,7 +153,7 @@ def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[np.n
             break
         Q, T, S = frame.Q, frame.T, frame.S
         q = Q.T @ Y
-        w = solve_triangular(T, frame.sign, trans="T")
+        w = solve_triangular(T, frame.sign, trans=1)
         Qw = Q @ w
         outside = Y - Q @ q
         a = Psi.T @ Qw
@@ -176,8 +176,8 @@ def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[np.n
         while wanted and mus[wanted[0]] ** 2 >= rest + (tau - fall) ** 2 * speed:
             i = wanted.pop(0)
             at = np.sqrt(max(mus[i] ** 2 - rest, 0.0) / speed)
-            found[i] = np.zeros(len(c))
-            found[i][S] = solve_triangular(T, q - at * w)
+            answer = found[i] = np.zeros(len(c))
+            answer[S] = solve_triangular(T, q - at * w)
         if fall >= tau or not wanted:
             break
         tau -= fall
@@ -232,7 +232,7 @@ def _clarabel_l2(Psi: np.ndarray, Y: np.ndarray, mu: float) -> tuple[np.ndarray,
 
     n = Psi.shape[1]
     # the part of Y outside the range is the same for all theta: taking it out leaves a ball that is not thin
-    Q, _ = _range(Psi)
+    Q, _ = orthonormal_range(Psi)
     q = Q.T @ Y
     outside = float(np.linalg.norm(Y - Q @ q))
     if outside > mu:
@@ -292,7 +292,7 @@ class LInf:
 
     def smallest(self, Psi: np.ndarray, Y: np.ndarray) -> Solution:
         """min max_k |Y - Psi theta|: Chebyshev approximation, interior point in an orthonormal basis of the range."""
-        Q, back = _range(Psi)
+        Q, back = orthonormal_range(Psi)
         z, v = _chebyshev(Q, Y)
         theta = back @ z
         # max |r| >= v'Y for every v orthogonal to the range with ||v||_1 = 1
@@ -323,7 +323,7 @@ class LInf:
     def intervals(self, Psi: np.ndarray, Y: np.ndarray, mu: float) -> Intervals:
         """Two linear programs per coefficient; the bounds are dual ones, so they hold whatever the solver did."""
         n = Psi.shape[1]
-        Q, back = _range(Psi)
+        Q, back = orthonormal_range(Psi)
         if back.shape[1] < n:
             return Intervals(np.full(n, -np.inf), np.full(n, np.inf))
         centre = Q.T @ Y
@@ -516,7 +516,7 @@ def _triangle(M: np.ndarray) -> np.ndarray:
     return R
 
 
-def _range(Psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def orthonormal_range(Psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal Q (N, r) of the range of Psi and `back` (n, r) with Psi back = Q."""
     from scipy.linalg import qr, solve_triangular
 
