@@ -1,0 +1,13 @@
+"""One question each, runnable; the command line. A study is a module with main(quick, ...)."""
+
+from collections.abc import Callable
+from types import ModuleType
+
+
+def _web_winding() -> ModuleType:
+    from studies import web_winding
+
+    return web_winding
+
+
+STUDIES: dict[str, Callable[[], ModuleType]] = {"web-winding": _web_winding}

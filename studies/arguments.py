@@ -1,0 +1,96 @@
+"""What a person types on the command line, turned into the nouns of the workbench."""
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Iterable
+from datetime import datetime
+from pathlib import Path
+
+from plants import PLANTS
+from workbench.errors import InputError, check_known
+from workbench.physics.plant import Plant
+
+
+def find_plant(text: str) -> Plant:
+    """A machine of the workbench by name, or package.module:NAME, or file.py:NAME."""
+    source, colon, attribute = text.rpartition(":")
+    if not colon:
+        if text.endswith(".py"):
+            raise InputError(f"which plant in {text!r}?", mend=f"write {text}:NAME")
+        return PLANTS[check_known("plant", text, PLANTS)]
+    module = _load_file(Path(source)) if source.endswith(".py") else _import(source)
+    plants = [name for name, value in vars(module).items() if isinstance(value, Plant)]
+    if not plants:
+        raise InputError("no plant in this file", file=source, mend="define NAME = Plant(...), see the docs")
+    return getattr(module, check_known("plant", attribute, plants, file=source))
+
+
+def _load_file(path: Path):
+    spec = importlib.util.spec_from_file_location(f"user_{path.stem}", path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise InputError("no such file", file=path, mend="check the path")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as reason:
+        raise InputError(f"{reason.msg}", file=path, line=reason.lineno, mend="is it Python?") from None
+    except InputError:
+        raise
+    except Exception as reason:
+        raise InputError(f"{type(reason).__name__}: {reason}", file=path, mend="run the file with python first") from reason
+    return module
+
+
+def _import(name: str):
+    try:
+        return importlib.import_module(name)
+    except ImportError as reason:
+        raise InputError(str(reason), mend="write package.module:NAME or file.py:NAME") from None
+
+
+def parse_effects(texts: Iterable[str]) -> dict[str, dict[str, float]]:
+    """{"coulomb@unwind": {"level": 0.002}} from id@place:parameter=value,...; the plant checks the names."""
+    sizes: dict[str, dict[str, float]] = {}
+    for text in texts:
+        key, _, numbers = text.partition(":")
+        if "@" not in key or not numbers:
+            raise InputError(f"effect {text!r}", mend="write id@place:parameter=value, e.g. coulomb@unwind:level=0.002")
+        sizes.setdefault(key.strip(), {}).update(parse_numbers(numbers.split(",")))
+    return sizes
+
+
+def parse_numbers(texts: Iterable[str]) -> dict[str, float]:
+    """{"kT": 0.021} from name=value."""
+    values: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            values[name.strip()] = float(value)
+        except ValueError:
+            raise InputError(f"{text!r} is not name=number", mend="write e.g. level=0.002") from None
+    return values
+
+
+def names(text: str | None) -> tuple[str, ...]:
+    """("V1", "V2") from "V1,V2"."""
+    return tuple(name.strip() for name in text.split(",") if name.strip()) if text else ()
+
+
+def run_folder(out: str | None, command: str) -> Path:
+    """The folder for a run's results: the one asked for, or a new one under runs/."""
+    if out is None:
+        stem = f"{command}-{datetime.now():%Y%m%d-%H%M%S}"
+        folder = Path("runs") / stem
+        for i in range(2, 1000):
+            if not folder.exists():
+                break
+            folder = Path("runs") / f"{stem}-{i}"
+    else:
+        folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise InputError(f"cannot make the folder: {reason.strerror}", file=folder, mend="choose another --out") from None
+    return folder

@@ -1,0 +1,120 @@
+"""The command line. Commands import what they need when they run: help must not wait for a compiler."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import NoReturn
+
+DONE, NEGATIVE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, but an unknown word is answered with the nearest one."""
+
+    def error(self, message: str) -> NoReturn:
+        known = sorted(_words(self))
+        words = message.replace("'", " ").replace("=", " ").split()
+        unknown = [word for word in words if word.startswith("-") or "invalid choice" in message]
+        near = [match for word in unknown if word not in known for match in get_close_matches(word, known, 1, 0.6)]
+        mend = f"\n  mend: did you mean {near[0]}?" if near else ""
+        sys.stderr.write(f"{self.prog}: {message}{mend}\n  see {self.prog} --help\n")
+        raise SystemExit(BAD_INPUT)
+
+
+def _words(parser: argparse.ArgumentParser) -> set[str]:
+    """Every option and command that a parser and its commands know."""
+    words = set()
+    for action in parser._actions:
+        words.update(action.option_strings)
+        if isinstance(action, argparse._SubParsersAction):
+            for name, sub in action.choices.items():
+                words.update({name}, _words(sub))
+    return words
+
+
+def parser() -> argparse.ArgumentParser:
+    """Every command with its options."""
+    top = _Parser(prog="workbench", description="Gain-scheduling control design from measured records.", allow_abbrev=False)
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+
+    def command(name: str, summary: str, epilog: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(
+            name,
+            help=summary,
+            description=summary,
+            epilog=epilog,
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        sub.add_argument("--out", metavar="DIR", help="folder for results (default: a new one under runs/)")
+        sub.add_argument("--json", metavar="FILE", help="write the numbers to this file as well")
+        return sub
+
+    sub = command(
+        "simulate",
+        "run a plant through an experiment and write the record as CSV",
+        "examples:\n  workbench simulate web-winding --experiment prbs1 --seed 3\n"
+        "  workbench simulate web-winding --experiment prbs1 --effect coulomb@unwind:level=0.002\n"
+        "  workbench simulate my_plant.py:PLANT --inputs-from record.csv",
+    )
+    sub.add_argument("plant", metavar="PLANT", help="a machine of the workbench, package.module:NAME or file.py:NAME")
+    sub.add_argument("--experiment", nargs="+", metavar="NAME", default=[], help="experiments of the machine's plan")
+    sub.add_argument("--inputs-from", nargs="+", metavar="FILE", default=[], help="replay the inputs of measured records")
+    sub.add_argument("--seed", type=int, default=0, help="seed of noise, disturbances and random set-points (default 0)")
+    sub.add_argument("--quiet", action="store_true", help="no noise and no disturbance")
+    sub.add_argument("--effect", action="append", default=[], metavar="ID@PLACE:P=V", help="switch missing physics on")
+    sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
+    sub.add_argument("--start", action="append", default=[], metavar="X=V", help="change a start value")
+
+    sub = command(
+        "identify",
+        "identify LPV models from records and score them on held-out ones",
+        "example:\n  workbench identify a.csv b.csv --output w3 --inputs V1,V2 --schedule r2 --model ssm --validate c.csv",
+    )
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (CSV or MAT)")
+    sub.add_argument("--output", "--outputs", dest="outputs", metavar="A,B", help="output channels (default: by name)")
+    sub.add_argument("--inputs", "--input", dest="inputs", metavar="A,B", help="input channels (default: by name)")
+    sub.add_argument("--schedule", metavar="A", help="scheduling channel (default: by name; none for LTI)")
+    sub.add_argument("--model", default="all", metavar="M", help="lti, ilm, ssm or several: lti,ssm (default all)")
+    sub.add_argument("--order", type=int, help="model order (default: chosen on the estimation records)")
+    sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
+    sub.add_argument("--horizon", type=int, default=25, help="steps of the k-step prediction that is scored (default 25)")
+
+    sub = command(
+        "compare",
+        "score identified models on records and test their residuals",
+        "example:\n  workbench compare ssm.json ilm.json --records c.csv d.csv",
+    )
+    sub.add_argument("models", nargs="+", metavar="MODEL", help="model files written by identify")
+    sub.add_argument("--records", nargs="+", action="extend", required=True, metavar="RECORD", help="held-out records")
+    sub.add_argument("--horizon", type=int, default=25, help="steps of the k-step prediction that is scored (default 25)")
+
+    command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
+
+    sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
+    sub.add_argument("study", metavar="STUDY", help="web-winding")
+    sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
+    sub.add_argument("--seed", type=int, default=1, help="seed of the simulated records (default 1)")
+    sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; 0 done, 1 the answer is negative, 2 bad input (with the place and the mend), 130 interrupted."""
+    options = parser().parse_args(arguments)
+    from studies import commands
+    from workbench.errors import InputError
+
+    try:
+        return commands.run(options)
+    except InputError as reason:
+        sys.stderr.write(f"workbench {options.command}: {reason}\n")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        sys.stderr.write(f"workbench {options.command}: interrupted; what was written is whole\n")
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

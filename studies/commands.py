@@ -1,0 +1,269 @@
+"""The commands behind the command line: each reads files, calls the workbench, writes files and says what it found."""
+
+import sys
+from argparse import Namespace
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from studies.arguments import find_plant, names, parse_effects, parse_numbers, run_folder
+from workbench.data import Dataset
+from workbench.errors import InputError, check_known
+from workbench.files import write_json
+from workbench.provenance import provenance
+from workbench.readers import check_units, read, read_all, write_csv
+
+
+def run(options: Namespace) -> int:
+    """Run the command that was asked for; returns the exit code."""
+    return {"simulate": simulate, "identify": identify, "compare": compare, "doctor": doctor, "study": study}[
+        options.command
+    ](options)
+
+
+def say(text: str = "") -> None:
+    """A result, on standard output."""
+    print(text, flush=True)
+
+
+def progress(text: str) -> None:
+    """What is being done, on standard error."""
+    print(f"  {text}", file=sys.stderr, flush=True)
+
+
+# ---- simulate -------------------------------------------------------------------------------------------------------
+
+
+def simulate(options: Namespace) -> int:
+    """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and says where."""
+    from dataclasses import replace
+
+    from studies.experiments import EXPERIMENTS, plan
+    from workbench import simulate as simulation
+
+    plant = find_plant(options.plant)
+    effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)
+    start = parse_numbers(options.start)
+    chosen = options.experiment
+    if bool(chosen) == bool(options.inputs_from):
+        own = EXPERIMENTS.get(plant.name, {}) if options.plant in EXPERIMENTS else {}
+        known = f"--experiment {' | '.join(own)}, or " if own else ""
+        raise InputError("which experiment?", mend=f"give {known}--inputs-from RECORD")
+    folder = run_folder(options.out, "simulate")
+    if chosen and options.plant not in EXPERIMENTS:
+        raise InputError(f"plant {plant.name!r} has no experiment plan", mend="give --inputs-from RECORD")
+
+    summary: list[dict[str, Any]] = []
+    jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
+    for kind, name in jobs:
+        if kind == "plan":
+            todo = plan(options.plant, name)
+            scenario = todo.scenario(options.seed)
+            scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
+            done = simulation.simulate(plant, todo.controller, scenario, parameters=parameters, effects=effects)
+        else:
+            record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
+            done = simulation.replay(plant, record, start=start, parameters=parameters, effects=effects)
+        path = write_csv(done.experiment, folder / f"{done.experiment.name}.csv")
+        write_csv(done.states, folder / f"{done.experiment.name}_states.csv")
+        say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
+        entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps}
+        if kind == "record":
+            entry["scores"] = _replay_scores(plant, record, done.experiment)
+        summary.append(entry)
+    configuration = {
+        "plant": plant.name, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
+    }  # fmt: skip
+    result = {"runs": summary, "provenance": provenance(configuration, options.inputs_from, options.seed)}
+    write_json(folder / "simulate.json", result)
+    if options.json:
+        write_json(options.json, result)
+    return 0
+
+
+def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
+    """How well the plant, driven by a record's inputs, reproduces the record's outputs (free run)."""
+    from workbench import metrics
+
+    scores = []
+    for channel in plant.outputs:
+        if channel.name in record.names:
+            y, ys = record[channel.name], simulated[channel.name]
+            try:
+                values = {"FIT": metrics.fit(y, ys), "RM": metrics.rm(y, ys), "RMSE": metrics.rmse(y, ys)}
+            except InputError:
+                continue  # a channel that does not move has no FIT
+            say(
+                f"  {channel.name}: simulated from the measured inputs, free-run FIT {values['FIT']:.1f}, "
+                f"RMSE {values['RMSE']:.4g} {channel.unit}"
+            )
+            scores.append({"output": channel.name, "horizon": "free-run", "unit": channel.unit} | values)
+    return scores
+
+
+# ---- identify and compare -----------------------------------------------------------------------------------------------
+
+
+def identify(options: Namespace) -> int:
+    """Fit the models asked for, save them, score them on estimation and held-out records."""
+    from workbench.advice import advice
+    from workbench.identify import METHODS
+
+    wanted = tuple(METHODS) if options.model == "all" else names(options.model)
+    for method in wanted:
+        check_known("model", method, METHODS)
+    roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
+    dataset = read_all(options.records, **roles)
+    held_out = read_all(options.validate, **roles) if options.validate else None
+    _check_disjoint(options.records, options.validate)
+    _check_roles(dataset, wanted)
+    folder = run_folder(options.out, "identify")
+
+    say(_described(dataset))
+    for note in advice(dataset, order=options.order):
+        say(f"{note.severity}: {note.record}{', ' + note.channel if note.channel else ''}: {note.sentence}")
+    results = []
+    for method in wanted:
+        if method != "lti" and not dataset.experiments[0].names_of("schedule"):
+            progress(f"{method}: skipped, it needs a schedule (--schedule)")
+            continue
+        progress(f"{method}: identifying")
+        option = METHODS[method]() if options.order is None else METHODS[method](order=options.order)
+        model = option.fit(dataset)
+        model.save(folder / f"{method}.json")
+        for note in model.notes:
+            say(f"note: {method}: {note}")
+        results.append((model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
+    _say_scores(results)
+    if not options.validate:
+        say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
+    configuration = {"model": wanted, "order": options.order} | roles
+    _write_scores(options, folder, "identify", results, configuration, [*options.records, *options.validate])
+    return 0
+
+
+def compare(options: Namespace) -> int:
+    """Score saved models on records that they never saw and test what is left in their residuals."""
+    from workbench.residuals import residual_test
+
+    from workbench.lpv import load_model
+
+    models = [load_model(path) for path in options.models]
+    results = []
+    for path, model in zip(options.models, models, strict=True):
+        roles = {
+            "inputs": [c.name for c in model.inputs],
+            "outputs": [c.name for c in model.outputs],
+            "schedule": [model.schedule.name] if model.schedule else [],
+        }
+        dataset = read_all(options.records, **roles)
+        for experiment in dataset:
+            check_units(experiment, {c.name: c.unit for c in (*model.inputs, *model.outputs)})
+        results.append((model, path, _scores(model, None, dataset, options.horizon)))
+        for experiment in dataset:
+            say(str(residual_test(model, experiment)))
+    _say_scores(results)
+    folder = run_folder(options.out, "compare")
+    _write_scores(options, folder, "compare", results, {"models": options.models}, options.records)
+    return 0
+
+
+def _check_disjoint(estimation: Iterable[str], held_out: Iterable[str]) -> None:
+    seen = {Path(path).resolve() for path in estimation}
+    for path in held_out:
+        if Path(path).resolve() in seen:
+            raise InputError(
+                "is both an estimation and a held-out record",
+                file=path,
+                mend="a score counts on records that the model never saw: leave it out of one of the two",
+            )
+
+
+def _check_roles(dataset: Dataset, wanted: Sequence[str]) -> None:
+    first = dataset.experiments[0]
+    for found, role, option in (
+        (first.names_of("input"), "input", "--inputs"),
+        (first.names_of("output"), "output", "--output"),
+    ):
+        if not found:
+            raise InputError(f"no {role} channel among {', '.join(first.names)}", file=first.name, mend=f"give {option}")
+    if any(method != "lti" for method in wanted) and len(wanted) == 1 and not first.names_of("schedule"):
+        raise InputError(f"{wanted[0]} needs a scheduling channel", file=first.name, mend="give --schedule")
+
+
+def _described(dataset: Dataset) -> str:
+    first = dataset.experiments[0]
+    found = {"input": first.names_of("input"), "output": first.names_of("output"), "schedule": first.names_of("schedule")}
+    roles = ", ".join(f"{role} {' '.join(channels)}" for role, channels in found.items() if channels)
+    sizes = ", ".join(f"{e.name} ({len(e)} samples)" for e in dataset)
+    return f"records: {sizes}, sampled every {dataset.dt:g} s; {roles}"
+
+
+def _scores(model, estimation: Dataset | None, held_out: Dataset | None, steps: int):
+    from workbench.metrics import score
+
+    horizons = ("free-run", "one-step", steps)
+    scores = ()
+    if estimation is not None:
+        scores += score(model, estimation, "estimation", horizons)
+    if held_out is not None:
+        scores += score(model, held_out, "held-out", horizons)
+    return scores
+
+
+def _say_scores(results) -> None:
+    """Held-out free runs first: they are the headline."""
+    say(f"{'model':8} {'order':>5}  {'record':16} {'split':10} {'output':8} {'horizon':9} {'FIT':>7} {'RM':>7} {'RMSE':>10}")
+    scores = [(model, s) for model, _, scores in results for s in scores]
+    scores.sort(key=lambda pair: (pair[1].split != "held-out", pair[1].horizon != "free-run", str(pair[1].horizon)))
+    for model, s in scores:
+        horizon = f"{s.horizon}-step" if isinstance(s.horizon, int) else s.horizon
+        say(
+            f"{s.model:8} {model.order:5d}  {s.record:16} {s.split:10} {s.output:8} {horizon:9} "
+            f"{s.FIT:7.1f} {s.RM:7.1f} {s.RMSE:10.4g} {s.unit}"
+        )
+
+
+def _write_scores(options: Namespace, folder: Path, command: str, results, configuration, files) -> None:
+    from workbench.metrics import to_json
+
+    content = to_json(results, provenance(configuration, files))
+    path = write_json(folder / "scores.json", content)
+    if options.json:
+        write_json(options.json, content)
+    say(f"{command}: {path}")
+
+
+# ---- doctor and study -----------------------------------------------------------------------------------------------------
+
+
+def doctor(options: Namespace) -> int:
+    """Versions, threads, compiler cache, and a two-second self-check against a known answer."""
+    from studies.doctor import examine
+
+    findings = examine()
+    for finding in findings:
+        say(f"{'ok  ' if finding.fine else 'FAIL'}  {finding.what}: {finding.found}")
+        if not finding.fine:
+            say(f"      mend: {finding.mend}")
+    if options.json:
+        write_json(options.json, {"findings": [vars(finding) for finding in findings]})
+    return 0 if all(finding.fine for finding in findings) else 1
+
+
+def study(options: Namespace) -> int:
+    """Run a study and say where its report is."""
+    from studies import STUDIES
+
+    module = STUDIES[check_known("study", options.study, STUDIES)]()
+    folder = run_folder(options.out, options.study)
+    module.main(
+        quick=options.quick,
+        folder=folder,
+        data=options.data,
+        seed=options.seed,
+        json=options.json,
+        say=say,
+        progress=progress,
+    )
+    return 0

@@ -1,0 +1,34 @@
+"""Where a number comes from: data, configuration, seed and versions, in one dictionary."""
+
+import platform
+from collections.abc import Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from workbench.files import sha256
+
+PACKAGES = ("gain-scheduling-workbench", "numpy", "scipy", "control", "casadi", "numba", "cvxpy", "clarabel", "highspy")
+
+
+def versions() -> dict[str, str]:
+    """Version of Python and of every package that computes."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def provenance(
+    configuration: Mapping[str, Any], files: Iterable[str | Path] = (), seed: int | None = None
+) -> dict[str, Any]:
+    """Configuration as given, SHA-256 of every data file, seed and versions."""
+    return {
+        "configuration": dict(configuration),
+        "data": {str(Path(path).name): sha256(path) for path in files},
+        "seed": seed,
+        "versions": versions(),
+    }
