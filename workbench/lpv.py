@@ -42,23 +42,29 @@ class Powers:
 
 @record
 class Gaussian:
-    """phi_j(rho) = exp(-beta_j (rho - centre_j)^2); `normalised` divides by their sum, so that they add up to one."""
+    """phi_j(rho) = exp(-beta_j (rho - centre_j)^2); `normalised` divides by their sum, so that they add up to one.
+
+    `with_constant` appends phi = 1, for the matrices of a model that do not move with the schedule.
+    """
 
     centres: np.ndarray = field("m")
     beta: np.ndarray = field("m", low=0.0)
     normalised: bool = False
+    with_constant: bool = False
 
     def __call__(self, rho: np.ndarray) -> np.ndarray:
         exponent = -self.beta * (np.asarray(rho, dtype=float)[..., None] - self.centres) ** 2
-        if not self.normalised:
-            return np.exp(exponent)
-        # far from every centre all of them underflow: the quotient does not when the largest is taken out first
-        weight = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
-        return weight / weight.sum(axis=-1, keepdims=True)
+        if self.normalised:
+            # far from every centre all of them underflow: the quotient does not when the largest is taken out first
+            exponent = exponent - exponent.max(axis=-1, keepdims=True)
+        weight = np.exp(exponent)
+        if self.normalised:
+            weight = weight / weight.sum(axis=-1, keepdims=True)
+        return np.concatenate([weight, np.ones_like(weight[..., :1])], axis=-1) if self.with_constant else weight
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(f"g({c:.4g})" for c in self.centres)
+        return (*(f"g({c:.4g})" for c in self.centres), *(("1",) if self.with_constant else ()))
 
 
 @record

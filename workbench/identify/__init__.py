@@ -1,0 +1,6 @@
+"""Records -> LPV model, one file per method; METHODS names them for the command line."""
+
+from workbench.identify.ilm import ILM
+from workbench.identify.lti import LTI
+
+METHODS: dict[str, type] = {"lti": LTI, "ilm": ILM}

@@ -9,7 +9,8 @@ inputs and is not, because in closed loop future inputs carry past noise.
 [3] J. L. Horn, "A rationale and test for the number of factors in factor analysis", Psychometrika 30 (1965).
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -132,7 +133,7 @@ class Windows:
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     past: int
-    count: int  # windows that stand behind the triangle
+    table: np.ndarray = field("count r")  # the windows themselves, in units of scale
     triangle: np.ndarray = field("r r")
     mean: np.ndarray = field("r")  # of each column, in units of scale
     centre: np.ndarray = field("nz")  # mean of [u y] over the records
@@ -145,6 +146,10 @@ class Windows:
     @property
     def nz(self) -> int:
         return len(self.scale)
+
+    @property
+    def count(self) -> int:
+        return len(self.table)
 
     def z(self, first: int, last: int) -> np.ndarray:
         """Columns [u y](k + first) .. [u y](k + last), both included."""
@@ -195,7 +200,7 @@ def _windows(dataset: Dataset, past: int, ahead: int) -> Windows:
         )
     mean = table.mean(axis=0)
     triangle = _triangle(table - mean)
-    return Windows(dataset.dt, inputs, outputs, past, len(table), triangle, mean, centre, scale)
+    return Windows(dataset.dt, inputs, outputs, past, table, triangle, mean, centre, scale)
 
 
 # ---- PBSID ----------------------------------------------------------------------------------------------------------
@@ -260,6 +265,29 @@ def predictor_estimate(options: PBSID, w: Windows) -> PredictorEstimate:
     basis = (U[:, keep] / np.sqrt(s[keep])).T @ _shifted(weight @ h, options.future, w.past, w.nz)
     level = max(_noise_level(options, w, R), ROUNDING * s[0])
     return PredictorEstimate(options, w, h, s[keep], level, basis)
+
+
+def resampled(estimate: PredictorEstimate, draws: int, *, block: int = 25) -> Iterator[Windows]:
+    """Windows whose y(k) is the long predictor's, plus its residuals drawn anew in blocks; the past stays as it was.
+
+    Blocks keep what colour and unevenness the residuals have. Signs are drawn as well, so that their mean is zero.
+    """
+    w, ny = estimate.windows, estimate.windows.nz - estimate.windows.nu
+    random = np.random.default_rng(0)
+    known = w.table[:, :-ny] - w.mean[:-ny]
+    Q, R = np.linalg.qr(known)
+    h = np.hstack([estimate.coefficients, np.zeros((ny, known.shape[1] - estimate.coefficients.shape[1]))])
+    residual = w.table[:, -ny:] - w.mean[-ny:] - known @ h.T
+    residual = residual * np.sqrt(len(known) / (len(known) - 1 - estimate.coefficients.shape[1]))
+    blocks = [residual[k : k + block] for k in range(0, len(residual), block)]
+    for _ in range(draws):
+        picked = random.integers(len(blocks), size=len(blocks) + 1)
+        e = np.concatenate([blocks[i] * random.choice([-1.0, 1.0]) for i in picked])
+        e = np.resize(e, residual.shape)
+        seen = Q.T @ e
+        below = _triangle(e - Q @ seen)
+        triangle = np.block([[R, R @ h.T + seen], [np.zeros((ny, R.shape[1])), below]])
+        yield dataclasses.replace(w, triangle=triangle)
 
 
 def _shifted(h: np.ndarray, future: int, past: int, nz: int) -> np.ndarray:
