@@ -17,8 +17,9 @@ forgets its initial state after n samples.
 [1] Sparse set membership identification of LPV systems and the web winding machine, sections 1.2 and 1.4.3.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -71,17 +72,41 @@ class Plain:
 class RawSignals:
     """u0 = 0, y0 = 0: the schedule-dependent coefficients carry the relation between the levels, as in [1]."""
 
-    def of(self, dataset: Dataset, names: "_Names") -> OperatingPoint:
+    def of(self, problem: "_Problem", dataset: Dataset) -> OperatingPoint:
+        del dataset
+        names = problem.names
         return OperatingPoint(CONSTANT, np.zeros((1, len(names.inputs))), np.zeros((1, len(names.outputs))))
 
 
 @record
+class FittedZero:
+    """u0 = 0, y0 constant: the reading of each output at which the recursion has no bias.
+
+    A recursion without a constant term needs the physical zero of its outputs, and a gauge may be set to zero anywhere
+    (a dancer angle that stands at 0 at the nominal tension). y0 minimises the squared one-step error, all coefficients
+    refitted, at a low order; an output keeps y0 = 0 unless its own zero lowers N log(error) by more than log N (BIC).
+    """
+
+    order: int = 3
+
+    def of(self, problem: "_Problem", dataset: Dataset) -> OperatingPoint:
+        raw = RawSignals().of(problem, dataset)
+        signals = [problem.signals_of(e, raw) for e in dataset]
+        return replace(raw, y=_zero(signals, min(self.order, max(problem.options._orders)))[None])
+
+
+@record
 class ScheduledMean:
-    """u0(rho), y0(rho): polynomials of this degree in the schedule, fitted to the signals of the estimation records."""
+    """u0(rho), y0(rho): polynomials of this degree in the schedule, fitted to the signals of the estimation records.
+
+    Deviations lose what the levels say about the gain at low frequency; use it for a machine whose levels are not
+    related by the same recursion as its deviations.
+    """
 
     degree: int = 1
 
-    def of(self, dataset: Dataset, names: "_Names") -> OperatingPoint:
+    def of(self, problem: "_Problem", dataset: Dataset) -> OperatingPoint:
+        names = problem.names
         if names.schedule is None:
             basis, rho = CONSTANT, np.zeros(sum(len(e) for e in dataset))
         else:
@@ -110,7 +135,7 @@ class SSM:
     orders: Sequence[int] = tuple(range(1, 16))
     factors: Sequence[float] = FACTORS
     penalty: UnitColumns | Plain = field(default=UnitColumns())
-    operating_point: RawSignals | ScheduledMean = field(default=RawSignals())
+    operating_point: FittedZero | RawSignals | ScheduledMean = field(default=FittedZero())
 
     def __post_init__(self):
         for n in self._orders:
@@ -220,21 +245,22 @@ class _Problem:
         self.options, self.dt = options, dataset.dt
         self.names = _names(dataset)
         self.basis, self.span = _basis_and_span(options.basis, dataset, self.names.schedule)
-        self.point = options.operating_point.of(dataset, self.names)
-        self.signals = [self.signals_of(e) for e in dataset]
         longest = max(options._orders)
         for e in dataset:
             if len(e) <= 2 * longest:
                 raise InputError(
                     f"{len(e)} samples for order {longest}", file=e.name, mend="give longer records or lower orders"
                 )
+        self.point = options.operating_point.of(self, dataset)
+        self.signals = [self.signals_of(e, self.point) for e in dataset]
 
-    def signals_of(self, e: Experiment) -> _Signals:
+    def signals_of(self, e: Experiment, point: OperatingPoint) -> _Signals:
+        """The record in deviations from `point`."""
         schedule = self.names.schedule
         rho = np.zeros(len(e)) if schedule is None else np.clip(e[schedule.name], *self.span)
-        level = self.point.basis(rho)
-        u = e[[c.name for c in self.names.inputs]] - level @ self.point.u
-        y = e[[c.name for c in self.names.outputs]] - level @ self.point.y
+        level = point.basis(rho)
+        u = e[[c.name for c in self.names.inputs]] - level @ point.u
+        y = e[[c.name for c in self.names.outputs]] - level @ point.y
         return _Signals(u, y, self.basis(rho))
 
     def regression(self, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -286,6 +312,58 @@ def _regressors(s: _Signals, n: int) -> np.ndarray:
     return np.concatenate(past, axis=1).reshape(len(k), -1)
 
 
+def _zero(signals: Sequence[_Signals], n: int) -> np.ndarray:
+    """y0 (ny) of `FittedZero`. The valley around the right value is wide at order 1 and narrow at higher ones."""
+    from scipy.optimize import minimize
+
+    y = np.concatenate([s.y for s in signals])
+    spread = np.where(y.std(axis=0) > 0, y.std(axis=0), 1.0)
+    coarse, fine = _bias_criterion(signals, 1), _bias_criterion(signals, n)
+    steps = np.concatenate([[0.0], *([x, -x] for x in np.geomspace(0.25, 64, 17))])
+    y0 = np.zeros(y.shape[1])
+    for _ in range(2):
+        for unit in np.diag(spread):
+            trials = [np.where(unit > 0, 0.0, y0) + step * unit for step in steps]
+            y0 = trials[int(np.argmin([coarse(trial) for trial in trials]))]
+    for criterion in (coarse, fine):
+        simplex = np.vstack([y0, y0 + 0.5 * np.diag(spread)])
+        # [scipy] Nelder-Mead: one to three unknowns, and the criterion has no simple gradient
+        y0 = minimize(
+            criterion,
+            y0,
+            method="Nelder-Mead",
+            bounds=[(-100 * size, 100 * size) for size in spread],
+            options={"initial_simplex": simplex, "xatol": 1e-4 * spread.min(), "fatol": 1e-6},
+        ).x
+    for b in range(len(y0)):
+        without = np.where(np.arange(len(y0)) == b, 0.0, y0)
+        if len(y) * (fine(without) - fine(y0)) < np.log(len(y)):
+            y0 = without
+    return y0
+
+
+def _bias_criterion(signals: Sequence[_Signals], n: int) -> Callable[[np.ndarray], float]:
+    """y0 -> sum over outputs of log ||e||^2, e the least squares error of the recursion in y - y0.
+
+    (y(k-i) - y0) phi_j(p(k-n)) and y(k) - y0 are sums of columns that do not depend on y0, so one triangle serves all y0.
+    """
+    ny, m = signals[0].y.shape[1], signals[0].phi.shape[1]
+    blocks = [np.column_stack([_regressors(s, n), s.phi[:-n], s.y[n:], np.ones(len(s.y) - n)]) for s in signals]
+    R: Any = np.linalg.qr(np.vstack(blocks), mode="r")
+    columns = R.shape[1] - m - ny - 1
+    past, forced = R[:, : n * ny * m].reshape(len(R), n, ny, m), R[:, n * ny * m : columns]
+    phi, target, one = R[:, columns : columns + m], R[:, columns + m : -1], R[:, -1:]
+
+    def criterion(y0: np.ndarray) -> float:
+        moved = past - y0[:, None] * phi[:, None, None, :]
+        Q, _ = orthonormal_range(np.hstack([moved.reshape(len(R), -1), forced]))
+        e = target - y0 * one
+        e = e - Q @ (Q.T @ e)
+        return float(np.log(np.maximum(np.sum(e**2, axis=0), 1e-300)).sum())
+
+    return criterion
+
+
 def _parts(theta: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """alpha of f (n, ny, ny, m) and of g (n, ny, nu, m): lag, output, past signal, function; theta (ny, nr, m)."""
     ny, _, m = theta.shape
@@ -300,7 +378,7 @@ def _parts(theta: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
 def _sweep(problem: _Problem, validation: Dataset | None) -> SSMSweep:
     options = problem.options
     start = max(options._orders)  # every order is scored on the same samples
-    held_out = [problem.signals_of(e) for e in validation] if validation else []
+    held_out = [problem.signals_of(e, problem.point) for e in validation] if validation else []
     path, skipped = [], []
     for n in options._orders:
         for factor, found in _solved(problem, n):
@@ -544,6 +622,7 @@ __all__ = [
     "L2",
     "SSM",
     "Candidate",
+    "FittedZero",
     "LInf",
     "NotSolvedError",
     "Plain",
