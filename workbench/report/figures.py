@@ -7,7 +7,7 @@ the same data give the same bytes everywhere.
 import io
 import math
 import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,13 +17,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from workbench.data import GAP, Channel
+from workbench.metrics import Horizon, Score
 from workbench.records import RecordError, field, record
 from workbench.report.decimate import extremes
 from workbench.report.page import Column, Data, Picture
-from workbench.report.palette import GRID, INK, MUTED, PAPER, SERIES, Colour
+from workbench.report.palette import GRID, INK, MEASURED, MUTED, PAPER, SERIES, Colour
 from workbench.report.svg import printable
 
 #: Width of a picture in inches of 72 points; the page scales it.
@@ -106,16 +107,16 @@ def measured_and_simulated(
     with _style():
         figure = Figure((WIDTH, 0.55 + sum(heights)), layout="constrained")
         above, below, *bottom = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        handles = [_line(above, t, y, INK, "measured", width=0.9)]
+        handles = [_trace(above, t, y, MEASURED, "measured", width=2.6)]  # broad and pale: models are drawn over it
         for i, values in enumerate(traces.values()):
-            handles.append(_line(above, t, values, _colour(i), f"simulated-{i}", dash=_dash(i)))
-            _line(below, t, y - values, _colour(i), f"error-{i}", dash=_dash(i), width=0.9)
-        away = _limit(above, y, list(traces.values())) | _limit(below, y - np.nanmean(y), [y - v for v in traces.values()])
+            handles.append(_trace(above, t, values, _colour(i), f"simulated-{i}", dash=_dash(i)))
+            _trace(below, t, y - values, _colour(i), f"error-{i}", dash=_dash(i), width=0.9)
+        away = _limit(above, y, list(traces.values())) | _limit_errors(below, y, [y - v for v in traces.values()])
         below.axhline(0, color=INK.light, linewidth=0.6)
         above.set_ylabel(_label(channel))
         below.set_ylabel(_label(Channel("error", channel.unit)))
         if schedule:
-            _line(bottom[0], t, schedule.values, MUTED, "schedule", width=1.1)
+            _trace(bottom[0], t, schedule.values, MUTED, "schedule", width=1.1)
             bottom[0].set_ylabel(_label(schedule.channel))
         figure.axes[-1].set_xlabel("t [s]")
         _legend(figure, handles, ["measured", *traces])
@@ -166,7 +167,7 @@ def singular_values(values: np.ndarray, order: int) -> Picture:
 
 
 def order_sweep(orders: Sequence[int], fit: Mapping[str, np.ndarray], chosen: int) -> Picture:
-    """FIT [%] against the model order, a line for each entry of `fit`, e.g. estimation and held-out; the chosen order marked."""
+    """FIT [%] against the model order, a line for each entry of `fit` (estimation, held-out); the chosen order marked."""
     index = np.asarray(orders)
     curves = {name: _of_length(values, len(orders), name) for name, values in fit.items()}
     with _style():
@@ -210,7 +211,8 @@ def sparsity_path(
         _line(below, mu, support, INK, "support", marker="o")
         if mu.min() > 0 and mu.max() > 20 * mu.min():
             above.set_xscale("log")
-        _mark(above, chosen, f"\N{GREEK SMALL LETTER MU} = {chosen:g}")
+            _log_ticks(below, axis="x")
+        _mark(above, chosen, f"\N{GREEK SMALL LETTER MU} = {chosen:.4g}")
         _mark(below, chosen, "")
         _fit_axis(above, [held_out, estimation])
         below.set_ylim(bottom=0)
@@ -223,7 +225,7 @@ def sparsity_path(
         "Sparsity path",
         svg,
         f"FIT and number of coefficients kept against the bound \N{GREEK SMALL LETTER MU}; "
-        f"chosen: \N{GREEK SMALL LETTER MU} = {chosen:g}.",
+        f"chosen: \N{GREEK SMALL LETTER MU} = {chosen:.4g}.",
         Data(
             "sparsity path",
             (
@@ -240,13 +242,10 @@ def sparsity_path(
 def coefficient_functions(rho: Trace, coefficients: Mapping[str, Coefficient]) -> Picture:
     """Every scheduled coefficient over the schedule in its own small panel: identified, feasible band and truth."""
     curves = {name: _curves(c, len(rho.values), name) for name, c in coefficients.items()}
-    across = min(3, len(curves))
-    down = math.ceil(len(curves) / across)
     with _style():
-        figure = Figure((WIDTH, 0.6 + 1.45 * down), layout="constrained")
-        grid = figure.subplots(down, across, sharex=True, squeeze=False)
+        figure, panels = _panels(len(curves), _label(rho.channel), sharey=False)
         handles: dict[str, object] = {}
-        for i, (axes, (name, curve)) in enumerate(zip(grid.flat, curves.items(), strict=False)):
+        for i, (axes, (name, curve)) in enumerate(zip(panels, curves.items(), strict=True)):
             if "low" in curve and "high" in curve:
                 handles["feasible band"] = axes.fill_between(
                     rho.values, curve["low"], curve["high"], color=SERIES[0].light, alpha=0.2, linewidth=0
@@ -257,12 +256,6 @@ def coefficient_functions(rho: Trace, coefficients: Mapping[str, Coefficient]) -
             axes.set_title(_short(name))
             axes.yaxis.set_major_locator(MaxNLocator(4))
             axes.xaxis.set_major_locator(MaxNLocator(4))
-        for axes in grid.flat[len(curves) :]:
-            axes.set_axis_off()
-        for i, axes in enumerate(grid.flat[: len(curves)]):
-            if i + across >= len(curves):
-                axes.tick_params(labelbottom=True)
-                axes.set_xlabel(_label(rho.channel))
         names = [name for name in ("identified", "feasible band", "truth") if name in handles]
         _legend(figure, [handles[name] for name in names], names)
         svg = _render(figure)
@@ -286,27 +279,19 @@ def frozen_responses(omega: np.ndarray, rho: Trace, magnitude: Mapping[str, np.n
     for name, values in magnitude.items():
         if np.shape(values) != shape:
             raise RecordError(f"frozen_responses, {name}: shape {np.shape(values)}, expected {shape}")
-    across = min(3, shape[0])
-    down = math.ceil(shape[0] / across)
+    colours = [INK, *(_colour(j) for j in range(len(magnitude) - 1))]
     with _style():
-        figure = Figure((WIDTH, 0.6 + 1.6 * down), layout="constrained")
-        grid = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+        figure, panels = _panels(shape[0], "\N{GREEK SMALL LETTER OMEGA} [rad/s]", sharey=True)
         handles = []
-        for i, (axes, at) in enumerate(zip(grid.flat, rho.values, strict=False)):
-            colours = [INK, *(_colour(j) for j in range(len(magnitude) - 1))]
+        for i, (axes, at) in enumerate(zip(panels, rho.values, strict=True)):
             handles = [
                 _line(axes, omega, np.asarray(values)[i], colour, f"frozen-{i}-{j}", dash=_DASHES[min(j, 1)], width=1.3)
                 for j, (values, colour) in enumerate(zip(magnitude.values(), colours, strict=True))
             ]
             axes.set_xscale("log")
             axes.set_title(f"{_short(rho.channel.name)} = {at:.4g} {printable(rho.channel.unit)}".rstrip())
-            axes.set_xlabel("\N{GREEK SMALL LETTER OMEGA} [rad/s]" if i + across >= shape[0] else "")
-            axes.tick_params(labelbottom=i + across >= shape[0])
             _log_ticks(axes, axis="x")
-        for axes in grid.flat[shape[0] :]:
-            axes.set_axis_off()
-        for axes in grid[:, 0]:
-            axes.set_ylabel("magnitude [dB]")
+        figure.supylabel("magnitude [dB]", color=MUTED.light, fontsize=8.5)
         _legend(figure, handles, list(magnitude))
         svg = _render(figure)
     R, K = shape
@@ -322,59 +307,75 @@ def frozen_responses(omega: np.ndarray, rho: Trace, magnitude: Mapping[str, np.n
     )
 
 
-def score_dots(
-    output: str, fit: Mapping[str, Mapping[str, float]], held_out: Collection[str], horizon: str = "free-run"
-) -> Picture:
-    """FIT [%] by model and record, one row a record, held-out records first; scores that are not finite say so.
+def score_dots(scores: Iterable[Score], output: str, horizon: Horizon = "free-run") -> Picture:
+    """FIT [%] of one output at one horizon by model and record, a row for each record and split, held-out ones first.
 
-    fit: FIT by record, by model. Scores below zero are worse than the mean of the record and sit on the left edge with
-    their number.
+    Scores below zero are worse than the mean of the record; they and those that are no number are named at the left edge.
     """
-    records = sorted(dict.fromkeys(r for scores in fit.values() for r in scores), key=lambda r: r not in held_out)
-    split = {r: "held-out" if r in held_out else "estimation" for r in records}
+    table: dict[tuple[str, str], dict[str, float]] = {}
+    for s in scores:
+        if (s.output, s.horizon) == (output, horizon):
+            table.setdefault((s.record, s.split), {})[s.model] = s.FIT
+    if not table:
+        raise RecordError(f"score_dots: no scores of {output} at horizon {horizon}")
+    rows = dict(sorted(table.items(), key=lambda item: item[0][1] != "held-out"))
+    models = list(dict.fromkeys(model for fits in rows.values() for model in fits))
+    curves = {model: np.array([fits.get(model, math.nan) for fits in rows.values()]) for model in models}
+    said = f"{horizon}-step" if isinstance(horizon, int) else horizon
     with _style():
-        figure = Figure((WIDTH, 0.9 + 0.34 * len(records)), layout="constrained")
+        figure = Figure((WIDTH, 0.9 + 0.42 * len(rows)), layout="constrained")
         axes = figure.subplots()
-        finite = [v for scores in fit.values() for v in scores.values() if math.isfinite(v) and v >= 0]
-        left = max(0.0, 10 * math.floor(min(finite, default=0.0) / 10 - 0.5))
-        lost = any(not math.isfinite(v) or v < 0 for scores in fit.values() for v in scores.values())
-        left = 0.0 if lost else left
-        handles = []
-        for i, (_model, scores) in enumerate(fit.items()):
-            colour, marker = _colour(i).light, "osD^vP"[i % 6]
-            handles.append(Line2D([], [], color=colour, marker=marker, linestyle="none", markersize=6))
-            for row, name in enumerate(records):
-                offset = row + 0.18 * (i - (len(fit) - 1) / 2) * min(1, 4 / len(fit))
-                value = scores.get(name, math.nan)
-                if math.isfinite(value) and value >= 0:
-                    axes.plot(value, offset, marker, color=colour, markersize=6)
-                elif name in scores:
-                    said = f"\N{BLACK LEFT-POINTING SMALL TRIANGLE} {value:.0f}" if math.isfinite(value) else "no FIT"
-                    axes.text(left, offset, f" {said}", color=colour, va="center", fontsize=8)
+        left = _left_edge(np.concatenate(list(curves.values())), any(_lost(fits) for fits in rows.values()))
+        step = min(0.2, 0.7 / len(models))
+        handles = [
+            axes.plot(
+                np.where(fits >= 0, fits, np.nan),
+                np.arange(len(rows)) + step * (i - (len(models) - 1) / 2),
+                "osD^vP"[i % 6],
+                color=_colour(i).light,
+                markersize=6,
+                gid=f"fit-{i}",
+            )[0]
+            for i, fits in enumerate(curves.values())
+        ]
+        for row, fits in enumerate(rows.values()):
+            if lost := _lost(fits):
+                text = f" \N{BLACK LEFT-POINTING SMALL TRIANGLE} {', '.join(lost)}"
+                axes.text(left, row, text, va="center", fontsize=8)
         axes.set_xlim(left, 100.0)
-        axes.yaxis.set_major_locator(FixedLocator(range(len(records))))
-        axes.set_yticks(range(len(records)), [f"{_short(r)}  ({split[r]})" for r in records])
-        axes.set_ylim(len(records) - 0.4, -0.6)
-        axes.set_xlabel(f"FIT, {printable(horizon)} [%]")
-        boundary = sum(r in held_out for r in records)
-        if 0 < boundary < len(records):
+        axes.set_yticks(range(len(rows)), [f"{_short(name)} ({split})" for name, split in rows])
+        axes.set_ylim(len(rows) - 0.4, -0.6)
+        axes.set_xlabel(f"FIT, {said} [%]")
+        boundary = sum(split == "held-out" for _, split in rows)
+        if 0 < boundary < len(rows):
             axes.axhline(boundary - 0.5, color=MUTED.light, linewidth=0.6)
-        _legend(figure, handles, list(fit))
+        _legend(figure, handles, models)
         svg = _render(figure)
+    columns = [Column("record", [name for name, _ in rows]), Column("split", [split for _, split in rows])]
+    columns += [Column(f"FIT {model}", values, "%") for model, values in curves.items()]
     return Picture(
-        f"FIT of {output}, {horizon}",
+        f"FIT of {output}, {said}",
         svg,
-        f"FIT ({horizon}) of {output} by record and model; right is better, 100 % is perfect. Held-out records count.",
-        Data(
-            f"FIT {output} {horizon}",
-            (
-                Column("record", records),
-                Column("split", [split[r] for r in records]),
-                *(Column(f"FIT {model}", [scores.get(r, math.nan) for r in records], "%") for model, scores in fit.items()),
-            ),
-        ),
-        f"Dot chart of FIT for {len(records)} records and {len(fit)} models: {', '.join(fit)}",
+        f"FIT ({said}) of {output} by record and model, held-out records first; right is better, 100 % is perfect.",
+        Data(f"FIT {output} {said}", tuple(columns)),
+        f"Dot chart of FIT, {said}, for {len(rows)} records and {len(models)} models: {', '.join(models)}",
     )
+
+
+def _lost(fits: Mapping[str, float]) -> list[str]:
+    """The models whose FIT has no place on an axis from 0 to 100, each with what it scored."""
+    return [f"{_short(model)} {_lost_score(fit)}" for model, fit in fits.items() if not (math.isfinite(fit) and fit >= 0)]
+
+
+def _lost_score(fit: float) -> str:
+    if math.isnan(fit):
+        return "no FIT"
+    return f"{fit:.0f}".replace("-", "\N{MINUS SIGN}") if fit > -1000 else "below \N{MINUS SIGN}1000"
+
+
+def _left_edge(fits: np.ndarray, lost: bool) -> float:
+    """Where the axis of FIT begins: at a round number below the lowest, at zero where some are below zero."""
+    return 0.0 if lost else max(0.0, 10 * math.floor(np.nanmin(fits) / 10 - 0.5))
 
 
 @contextmanager
@@ -385,6 +386,22 @@ def _style() -> Iterator[None]:
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
         yield
+
+
+def _panels(count: int, xlabel: str, *, sharey: bool) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` small panels, three in a row, over one common horizontal axis."""
+    if not count:
+        raise RecordError("a picture of nothing: give at least one panel")
+    across = min(3, count)
+    down = math.ceil(count / across)
+    figure = Figure((WIDTH, 0.7 + 1.4 * down), layout="constrained")
+    panels = list(figure.subplots(down, across, sharex=True, sharey=sharey, squeeze=False).flat)
+    for axes in panels[count:]:
+        axes.set_axis_off()
+    for axes in panels[count - across : count]:
+        axes.tick_params(labelbottom=True)
+    figure.supxlabel(xlabel, color=MUTED.light, fontsize=8.5)
+    return figure, panels[:count]
 
 
 def _render(figure: Figure) -> str:
@@ -404,12 +421,19 @@ def _line(
     width: float = 1.2,
     marker: str = "",
 ) -> Line2D:
-    x, y = _broken(np.asarray(x, float), np.asarray(y, float)) if not marker else (np.asarray(x), np.asarray(y, float))
+    x, y = np.asarray(x, float), np.asarray(y, float)
     keep = extremes(x, y, PIXELS)
     (line,) = axes.plot(
         x[keep], y[keep], marker=marker, linestyle=dash, color=colour.light, linewidth=width, markersize=4, gid=gid
     )
     return line
+
+
+def _trace(
+    axes: Axes, t: np.ndarray, y: np.ndarray, colour: Colour, gid: str, *, dash: str | tuple = "-", width: float = 0.9
+) -> Line2D:
+    """A line over time, which breaks where samples are missing."""
+    return _line(axes, *_broken(t, y), colour, gid, dash=dash, width=width)
 
 
 def _broken(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -432,6 +456,15 @@ def _limit(axes: Axes, own: np.ndarray, others: list[np.ndarray]) -> set[int]:
     bottom, top = max(finite.min(), floor), min(finite.max(), ceiling)
     axes.set_ylim(bottom - 0.04 * (top - bottom or 1.0), top + 0.04 * (top - bottom or 1.0))
     return {i for i, y in enumerate(others) if not np.all((y >= floor) & (y <= ceiling))}
+
+
+def _limit_errors(axes: Axes, own: np.ndarray, errors: list[np.ndarray]) -> set[int]:
+    """Set the range of the errors, at most half the span of what is measured; returns which are cut off."""
+    bound = 0.5 * float(np.nanmax(own) - np.nanmin(own)) or 1.0
+    finite = np.abs(np.concatenate([[0.0], *errors]))
+    top = min(float(finite[np.isfinite(finite)].max()) or bound, bound)
+    axes.set_ylim(-1.05 * top, 1.05 * top)
+    return {i for i, e in enumerate(errors) if not np.all(np.abs(e) <= bound)}
 
 
 def _fit_axis(axes: Axes, curves: list[np.ndarray]) -> None:

@@ -9,6 +9,7 @@ import html
 import io
 import math
 import re
+import statistics
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -71,7 +72,7 @@ class Picture:
 class Table:
     """Rows of numbers and texts; the first column names the row. Units belong into the header.
 
-    best: `max` or `min` sets the best number of every row in bold. digits: of the largest number of a column.
+    best: `max` or `min` sets the best number of every row in bold. digits: of the median number of a column.
     """
 
     title: str
@@ -267,7 +268,7 @@ def _best(table: Table, row: tuple[Cell, ...]) -> float | None:
 
 
 def _shown(table: Table) -> list[list[str]]:
-    """The cells as texts: the numbers of a column have the same decimals, chosen by the largest."""
+    """The cells as texts: the numbers of a column have the same decimals, chosen by the median."""
     columns = [[row[i] for row in table.rows] for i in range(len(table.header))]
     texts = [_column_texts(column, table.digits) for column in columns]
     return [[column[k] for column in texts] for k in range(len(table.rows))]
@@ -277,8 +278,9 @@ def _column_texts(column: list[Cell], digits: int) -> list[str]:
     sizes = [abs(cell) for cell in column if _is_number(cell) and cell]
     if not sizes or all(isinstance(cell, int | np.integer) for cell in column if _is_number(cell)):
         return [_text(cell, "d") for cell in column]
-    top = math.floor(math.log10(max(sizes)))
-    plain = -4 <= top < 7 and min(sizes) >= 10.0 ** (top - digits)
+    # the median sets the decimals: one number that ran away must not round off the others
+    top = math.floor(math.log10(statistics.median_low(sizes)))
+    plain = top >= -4 and max(sizes) < 1e7 and min(sizes) >= 10.0 ** (top - digits)
     form = f".{max(0, digits - 1 - top)}f" if plain else f".{digits - 1}e"
     return [_text(cell, form) for cell in column]
 
@@ -326,9 +328,10 @@ def _download(data: Data, file: str) -> str:
     text = csv_text(data)
     what = f"{len(data.columns)} columns \N{MULTIPLICATION SIGN} {len(data.columns[0].values) if data.columns else 0} rows"
     if len(text) > INLINE:
-        return f'<a class="data" href="data/{file}" download="{file}">CSV beside this page</a> <small>({what})</small>'
+        link = f'<a href="data/{file}" download="{file}" title="{what}">CSV, beside this page</a>'
+        return f'<span class="tools">{link}</span>'
     uri = "data:text/csv;charset=utf-8," + quote(text, safe=",")
-    return f'<a class="data" href="{uri}" download="{file}" title="{what}">CSV</a>'
+    return f'<span class="tools"><a href="{uri}" download="{file}" title="{what}">CSV</a></span>'
 
 
 def _paragraphs(text: str) -> str:

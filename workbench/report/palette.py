@@ -19,6 +19,7 @@ class Colour:
 INK = Colour("ink", "#1b1e23", "#e6e8eb")
 MUTED = Colour("muted", "#5b626c", "#a3abb6")
 GRID = Colour("grid", "#dde0e5", "#343a43")
+MEASURED = Colour("measured", "#b3b9c2", "#6a7380")
 PAPER = Colour("paper", "#fefefe", "#16191e")
 CARD = Colour("card", "#f4f6f8", "#1f242b")
 ACCENT = Colour("accent", "#0b5c8f", "#6cb8ec")
@@ -33,4 +34,4 @@ SERIES = (
     Colour("series-6", "#56b4e9", "#2f8fcc"),
 )
 
-COLOURS = (INK, MUTED, GRID, PAPER, CARD, ACCENT, *SERIES)
+COLOURS = (INK, MUTED, GRID, MEASURED, PAPER, CARD, ACCENT, *SERIES)

@@ -37,11 +37,13 @@ nav a{{text-decoration:none}}
 nav a:hover{{text-decoration:underline}}
 figure,.table{{margin:1.75rem 0 2.5rem}}
 .picture{{overflow-x:auto}}
-.picture svg{{display:block;width:100%;min-width:33rem;height:auto;overflow:hidden}}
+.picture svg{{display:block;width:100%;min-width:29rem;height:auto;overflow:hidden}}
 svg *{{stroke-linejoin:round;stroke-linecap:butt}}
 svg text{{font-family:inherit;font-variant-numeric:tabular-nums}}
 figcaption,.caption{{color:var(--muted);font-size:.88rem;line-height:1.45;max-width:42rem;margin:.6rem 0 0}}
-.data{{white-space:nowrap;font-weight:600;margin-left:.35em}}
+.tools{{white-space:nowrap;font-weight:600;margin-left:.35em}}
+.tools a{{text-decoration:none}}
+.tools a:hover,button:hover{{text-decoration:underline}}
 .scroll{{overflow-x:auto}}
 table{{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums lining-nums}}
 th,td{{text-align:left;padding:.36rem 1.4rem .36rem 0;vertical-align:baseline;border-bottom:1px solid var(--grid)}}
@@ -69,7 +71,7 @@ dialog button{{display:block;margin:0 0 .5rem auto}}
 }}
 @media print{{
  body{{display:block;max-width:none;padding:0;font-size:10pt}}
- nav,.skip,.data,button{{display:none}}
+ nav,.skip,.tools{{display:none}}
  figure,.table,.verdict{{break-inside:avoid}}
  h2,h3{{break-after:avoid}}
  .picture,.scroll{{overflow:visible}}
@@ -97,6 +99,6 @@ for (const figure of document.querySelectorAll("figure")) {
   };
   open.onclick = enlarge;
   svg.style.cursor = "zoom-in"; svg.onclick = () => { if (place.contains(svg)) enlarge(); };
-  figure.querySelector("figcaption").append(open);
+  figure.querySelector(".tools").append(open);
 }
 """

@@ -93,5 +93,6 @@ def _value(key: str, value: str, prefix: str) -> str:
         raise ValueError(f"a picture carries a script in its attribute {key!r}")
     # the page's fonts: sizes stay, families are inherited
     value = re.sub(r"font: ((?:[a-z0-9]+ )*)([\d.]+px) [^;]*", r"font-size: \2", value)
+    value = re.sub(r"font-family: [^;]*; ?", "", value)
     value = re.sub(r"url\(#", f"url(#{prefix}-", value)
     return _COLOUR.sub(lambda match: _VARIABLE[match.group()], value)
