@@ -327,24 +327,34 @@ class LInf:
         if back.shape[1] < n:
             return Intervals(np.full(n, -np.inf), np.full(n, np.inf))
         centre = Q.T @ Y
-        # ||Y - Q z||_2 <= sqrt(N) mu: a box that changes nothing and keeps every program bounded
-        reach = mu * np.sqrt(len(Y)) * np.ones(n)
-        program = _RowProgram(Q / mu, (Y - Q @ centre) / mu, np.zeros(n), -reach, reach)
+        # z in units of mu; ||Y - Q z||_2 <= sqrt(N) mu is a box that changes nothing and keeps every program bounded
+        rest = (Y - Q @ centre) / mu
+        reach = np.full(n, np.sqrt(len(Y)))
+        program = _RowProgram(Q, rest, np.zeros(n), -reach, reach)
         low, high = np.empty(n), np.empty(n)
         for j, row in enumerate(back):
-            size = np.linalg.norm(row)
-            bounds = []
-            for direction in (row / size, -row / size):
-                program.change_cost(direction)
-                _, v = program.solve()
-                # direction'z = w'(Q z) for w = Q direction + anything orthogonal, and |Y - Q z| <= mu
-                w = v / mu + Q @ (direction - Q.T @ v / mu)
-                bounds.append(size * (float(w @ (Y - Q @ centre)) - mu * np.abs(w).sum()))
-            low[j], high[j] = row @ centre + bounds[0], row @ centre - bounds[1]
+            size = float(np.linalg.norm(row))
+            unit = row / size
+            low[j] = row @ centre + size * mu * _lowest(program, Q, rest, unit)
+            high[j] = row @ centre - size * mu * _lowest(program, Q, rest, -unit)
         return Intervals(low, high)
 
     def dual_norm(self, v: np.ndarray) -> float:
         return float(np.abs(v).sum())
+
+
+def _lowest(program: "_RowProgram", Q: np.ndarray, y: np.ndarray, direction: np.ndarray) -> float:
+    """A lower bound on direction'z subject to |y - Q z| <= 1, sharp where the solver did its work.
+
+    direction'z = w'(Q z) >= w'y - ||w||_1 for every w with Q'w = direction.
+    """
+    try:
+        program.change_cost(direction)
+        _, v = program.solve()
+    except NotSolvedError:
+        v = np.zeros(len(y))
+    w = v + Q @ (direction - Q.T @ v)
+    return float(w @ y) - float(np.abs(w).sum())
 
 
 Bound = L2 | LInf
@@ -520,6 +530,8 @@ def orthonormal_range(Psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orthonormal Q (N, r) of the range of Psi and `back` (n, r) with Psi back = Q."""
     from scipy.linalg import qr, solve_triangular
 
+    if Psi.shape[1] == 0:
+        return Psi, np.empty((0, 0))
     size = np.linalg.norm(Psi, axis=0)
     size[size == 0] = 1.0
     Q1, R1 = np.linalg.qr(Psi / size)
