@@ -23,7 +23,7 @@ from workbench.data import GAP, Channel
 from workbench.metrics import Horizon, Score
 from workbench.records import RecordError, field, record
 from workbench.report.decimate import extremes
-from workbench.report.page import Column, Data, Picture
+from workbench.report.page import SUPERSCRIPT, Column, Data, Picture
 from workbench.report.palette import GRID, INK, MEASURED, MUTED, PAPER, SERIES, Colour
 from workbench.report.svg import printable
 
@@ -109,8 +109,8 @@ def measured_and_simulated(
         above, below, *bottom = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         handles = [_trace(above, t, y, MEASURED, "measured", width=2.6)]  # broad and pale: models are drawn over it
         for i, values in enumerate(traces.values()):
-            handles.append(_trace(above, t, values, _colour(i), f"simulated-{i}", dash=_dash(i)))
-            _trace(below, t, y - values, _colour(i), f"error-{i}", dash=_dash(i), width=0.9)
+            handles.append(_trace(above, t, _near(values, y), _colour(i), f"simulated-{i}", dash=_dash(i)))
+            _trace(below, t, y - _near(values, y), _colour(i), f"error-{i}", dash=_dash(i))
         away = _limit(above, y, list(traces.values())) | _limit_errors(below, y, [y - v for v in traces.values()])
         below.axhline(0, color=INK.light, linewidth=0.6)
         above.set_ylabel(_label(channel))
@@ -446,9 +446,15 @@ def _broken(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.insert(t, gaps, t[gaps]), np.insert(y, gaps, np.nan)
 
 
+def _near(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """A simulation that ran away, held well outside the picture: coordinates of 1e300 are no use to a browser."""
+    far = 50 * ((own.max() - own.min()) or 1.0)
+    return np.clip(np.where(np.isfinite(values), values, np.nan), own.min() - far, own.max() + far)
+
+
 def _limit(axes: Axes, own: np.ndarray, others: list[np.ndarray]) -> set[int]:
     """Set the range of y to that of `own` and as much of `others` as is not far beyond; returns which are cut off."""
-    low, high = float(np.nanmin(own)), float(np.nanmax(own))
+    low, high = float(own.min()), float(own.max())
     span = (high - low) or 1.0
     floor, ceiling = low - BEYOND * span, high + BEYOND * span
     finite = np.concatenate([own, *others])
@@ -460,7 +466,7 @@ def _limit(axes: Axes, own: np.ndarray, others: list[np.ndarray]) -> set[int]:
 
 def _limit_errors(axes: Axes, own: np.ndarray, errors: list[np.ndarray]) -> set[int]:
     """Set the range of the errors, at most half the span of what is measured; returns which are cut off."""
-    bound = 0.5 * float(np.nanmax(own) - np.nanmin(own)) or 1.0
+    bound = 0.5 * (float(own.max() - own.min()) or 2.0)
     finite = np.abs(np.concatenate([[0.0], *errors]))
     top = min(float(finite[np.isfinite(finite)].max()) or bound, bound)
     axes.set_ylim(-1.05 * top, 1.05 * top)
@@ -496,7 +502,7 @@ def _power(value: float) -> str:
     exponent = round(math.log10(value)) if value > 0 else 0
     if -2 <= exponent <= 3:
         return f"{10.0**exponent:g}"
-    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return "10" + str(exponent).translate(SUPERSCRIPT)
 
 
 def _legend(figure: Figure, handles: Sequence, names: list[str]) -> None:

@@ -25,6 +25,8 @@ from workbench.report.svg import embed, printable
 
 Cell = str | float | int | None
 
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 #: Makes the promise of one file checkable: a browser refuses whatever is not inside.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
@@ -268,7 +270,7 @@ def _best(table: Table, row: tuple[Cell, ...]) -> float | None:
 
 
 def _shown(table: Table) -> list[list[str]]:
-    """The cells as texts: the numbers of a column have the same decimals, chosen by the median."""
+    """The cells as texts: the numbers of a column have the same decimals, chosen by the median, unless one would vanish."""
     columns = [[row[i] for row in table.rows] for i in range(len(table.header))]
     texts = [_column_texts(column, table.digits) for column in columns]
     return [[column[k] for column in texts] for k in range(len(table.rows))]
@@ -280,9 +282,9 @@ def _column_texts(column: list[Cell], digits: int) -> list[str]:
         return [_text(cell, "d") for cell in column]
     # the median sets the decimals: one number that ran away must not round off the others
     top = math.floor(math.log10(statistics.median_low(sizes)))
-    plain = top >= -4 and max(sizes) < 1e7 and min(sizes) >= 10.0 ** (top - digits)
-    form = f".{max(0, digits - 1 - top)}f" if plain else f".{digits - 1}e"
-    return [_text(cell, form) for cell in column]
+    decimals = max(0, digits - 1 - top)
+    same = top >= -4 and max(sizes) < 1e7 and min(sizes) >= 10.0 ** (1 - decimals)
+    return [_text(cell, f".{decimals}f" if same else f"#.{digits}g") for cell in column]
 
 
 def _text(cell: Cell, form: str) -> str:
@@ -292,7 +294,9 @@ def _text(cell: Cell, form: str) -> str:
         return str(cell)
     if math.isinf(cell):
         return "\N{MINUS SIGN}\N{INFINITY}" if cell < 0 else "\N{INFINITY}"
-    return format(int(cell) if form == "d" else cell, form).replace("-", "\N{MINUS SIGN}")
+    number, _, exponent = format(int(cell) if form == "d" else cell, form).removesuffix(".").partition("e")
+    power = f" \N{MULTIPLICATION SIGN} 10{str(int(exponent)).translate(SUPERSCRIPT)}" if exponent else ""
+    return number.replace("-", "\N{MINUS SIGN}") + power
 
 
 def _is_number(cell: object) -> TypeGuard[float]:
