@@ -79,7 +79,7 @@ class ILM:
         best = _choose(blends)
         notes = _notes(best, blends, refused)
         model = _assemble(self, task, best)
-        return _finished(model, task, best, self.resamples, notes)
+        return _finished(model, task, best, self, notes)
 
     def candidates(self, dataset: Dataset) -> tuple[Candidate, ...]:
         """Every blend that is tried, with its mean free-run FIT on the estimation records."""
@@ -284,32 +284,69 @@ def _choose(blends: Sequence[_Blend]) -> _Blend:
 
 
 def _assemble(options: ILM, task: _Task, blend: _Blend) -> LPVModel:
-    """Block-diagonal A and stacked B in a constant term; C_i alpha_i in the term of activation i."""
+    """Block-diagonal A and stacked B in a constant term; C_i alpha_i in the term of activation i.
+
+    A local model whose alpha is zero for every output has no states here.
+    """
     from scipy.linalg import block_diag
 
-    local, alpha = blend.family.local, blend.alpha
-    last, nx, nu, ny = len(local), sum(m.order for m in local), len(task.inputs), len(task.outputs)
-    A, B, F, G, K = (np.zeros((last + 1, nx, size)) for size in (nx, nu, nx, nu, ny))
+    used = [i for i in range(len(blend.alpha)) if _weight(blend, i) > 0.0]
+    local = [blend.family.local[i] for i in used]
+    last, nx, nu, ny = len(blend.alpha), sum(m.order for m in local), len(task.inputs), len(task.outputs)
+    A, B = np.zeros((last + 1, nx, nx)), np.zeros((last + 1, nx, nu))
     C, D = np.zeros((last + 1, ny, nx)), np.zeros((last + 1, ny, nu))
     A[last], B[last] = block_diag(*(m.A for m in local)), np.vstack([m.B for m in local])
-    F[last] = block_diag(*(m.A - m.K @ m.C for m in local))
-    G[last], K[last] = np.vstack([m.B - m.K @ m.D for m in local]), np.vstack([m.K for m in local])
     first = np.cumsum([0, *(m.order for m in local)])
-    for i, m in enumerate(local):
-        C[i, :, first[i] : first[i + 1]] = alpha[i][:, None] * m.C  # [1] (1.11)
-        D[i] = alpha[i][:, None] * m.D
+    for block, (i, m) in enumerate(zip(used, local, strict=True)):
+        C[i, :, first[block] : first[block + 1]] = blend.alpha[i][:, None] * m.C  # [1] (1.11)
+        D[i] = blend.alpha[i][:, None] * m.D
     return LPVModel(
         options.name, task.dataset.dt, task.inputs, task.outputs, task.schedule, task.span,
         dataclasses.replace(blend.basis, with_constant=True), tuple(Term(i) for i in range(last + 1)), A, B, C, D,
-        task.point, predictor=Predictor(F, G, K, warmup=options.method.past),
+        task.point,
     )  # fmt: skip
 
 
-def _finished(model: LPVModel, task: _Task, blend: _Blend, draws: int, notes: tuple[str, ...]) -> LPVModel:
-    warmup = model.predictor.warmup if model.predictor else 0
+def _weight(blend: _Blend, i: int) -> float:
+    """Largest alpha of a local model over the outputs; what is left of a zero by rounding counts as zero."""
+    largest = float(blend.alpha[i].max())
+    return largest if largest > 1e-9 else 0.0
+
+
+def _predictors(model: LPVModel, blend: _Blend, warmup: int) -> tuple[Predictor, ...]:
+    """Two observers for the blend; [1] gives none.
+
+    Shared: every local model is corrected by the blend's own innovation, K_i (y - y_blend), as in an innovation model.
+    Separate: every local model follows the output alone, K_i (y - y_i); always stable, and less accurate where several
+    models are active. The shared one is left out where it does not forget its initial state.
+    """
+    from scipy.linalg import block_diag
+
+    local = [m for i, m in enumerate(blend.family.local) if _weight(blend, i) > 0.0]
+    K = np.zeros((len(model.A), model.order, len(model.outputs)))
+    K[-1] = np.vstack([m.K for m in local])
+    F, G = np.zeros_like(model.A), np.zeros_like(model.B)
+    F[-1] = block_diag(*(m.A - m.K @ m.C for m in local))
+    G[-1] = np.vstack([m.B - m.K @ m.D for m in local])
+    separate = Predictor(F, G, K, warmup)
+    shared = Predictor(model.A - K[-1] @ model.C, model.B - K[-1] @ model.D, K, warmup)
+    grid = model.weights(np.linspace(model.span[0], model.span[1], 51))
+    radius = np.abs(np.linalg.eigvals(np.tensordot(grid, shared.F, 1))).max()
+    return (shared, separate) if radius < 1.0 else (separate,)
+
+
+def _finished(model: LPVModel, task: _Task, blend: _Blend, options: ILM, notes: tuple[str, ...]) -> LPVModel:
+    """With the observer that predicts the estimation records better one step ahead, its noise, and the spread of alpha."""
+    warmup = options.method.past
     names = [c.name for c in task.outputs]
-    e = np.concatenate([(x[names] - model.predict(x))[warmup:] for x in task.dataset])
-    return dataclasses.replace(model, noise=e.T @ e / len(e), estimates=_estimates(task, blend, warmup, draws), notes=notes)
+    choices = []
+    for predictor in _predictors(model, blend, warmup):
+        candidate = dataclasses.replace(model, predictor=predictor)
+        e = np.concatenate([(x[names] - candidate.predict(x))[warmup:] for x in task.dataset])
+        choices.append(dataclasses.replace(candidate, noise=e.T @ e / len(e)))
+    power = np.var(task.stacked(task.y, warmup), axis=0)
+    best = min(choices, key=lambda m: float(np.sum(np.diag(m.noise) / power)))
+    return dataclasses.replace(best, estimates=_estimates(task, blend, warmup, options.resamples), notes=notes)
 
 
 def _estimates(task: _Task, blend: _Blend, warmup: int, draws: int, *, block: int = 50) -> tuple[Estimate, ...]:
@@ -348,8 +385,8 @@ def _notes(best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tu
         f"overlap {chosen.overlap:g}; free-run FIT on the estimation records by number of models: "
         + ", ".join(f"{count}: {value:.1f}" for count, value in best_of.items())
     ]
-    for centre, m in zip(best.family.centres, best.family.local, strict=True):
+    for i, (centre, m) in enumerate(zip(best.family.centres, best.family.local, strict=True)):
         radius = float(np.abs(m.poles).max())
-        if radius >= 1.0:
+        if radius >= 1.0 and _weight(best, i) > 0.0:
             notes.append(f"unstable: the local model at {centre:.4g} has a pole of modulus {radius:.4g}; its free run grows")
     return (*notes, *refused)
