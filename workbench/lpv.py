@@ -242,22 +242,23 @@ class LPVModel:
     def predict(self, experiment: Experiment, steps: int = 1) -> np.ndarray:
         """y(k | k - steps): from the predictor's state at k - steps + 1 and the inputs since; (N, ny).
 
-        steps = 1 uses the measured outputs up to k - 1. The first steps - 1 rows start from the initial state.
+        steps = 1 uses the measured outputs up to k - 1. No prediction starts before the predictor's warm-up is over: the
+        steps - 1 rows after it look ahead less far, and the rows within it are one-step predictions of a cold predictor.
         """
         u, y, weight = self._deviations(experiment)
         x = self._predictor_states(u, y, weight)[:-1]
-        N = len(u)
-        out = np.empty((N, len(self.outputs)))
-        blocks = [(k0, *block) for k0, *block in self._slices(weight, self.A, self.B, self.C, self.D)]
-        A, B, C, D = (np.concatenate([b[i] for b in blocks]) for i in (1, 2, 3, 4))
-        for j in range(steps):
-            # here x[i] is the state at time i + j that the predictor of time i leads to
-            early = np.arange(min(1, N)) if j < steps - 1 else np.arange(N - j)
-            k = early + j
-            out[k] = np.einsum("kyx,kx->ky", C[k], x[early]) + np.einsum("kyu,ku->ky", D[k], u[k])
-            if j < steps - 1:
-                k = np.arange(N - j - 1) + j
-                x = np.einsum("kzx,kx->kz", A[k], x[: N - j - 1]) + np.einsum("kzu,ku->kz", B[k], u[k])
+        blocks = [block for _, *block in self._slices(weight, self.A, self.B, self.C, self.D)]
+        A, B, C, D = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+
+        def look(first: int) -> np.ndarray:
+            return np.einsum("kyx,kx->ky", C[first:], x) + np.einsum("kyu,ku->ky", D[first:], u[first:])
+
+        out, first = look(0), self.predictor.warmup if self.predictor else 0
+        x = x[first:]
+        for _ in range(steps - 1):
+            x = np.einsum("kzx,kx->kz", A[first:-1], x[:-1]) + np.einsum("kzu,ku->kz", B[first:-1], u[first:-1])
+            first += 1
+            out[first:] = look(first)
         return out + self._output_offset(experiment)
 
     def _deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
