@@ -82,7 +82,7 @@ class L2:
         Q, back = orthonormal_range(Psi)
         z = Q.T @ Y
         z += Q.T @ (Y - Q @ z)  # one refinement
-        theta = back @ z
+        theta = _coefficients(Psi, Q, back, z)
         # ||r|| >= r'Y / ||r|| for every r orthogonal to the range
         r = Y - Q @ z
         value = self.norm(Y - Psi @ theta)
@@ -98,23 +98,20 @@ class L2:
     def path(self, Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[Solution | None]:
         """`sparsest` for several bounds: one homotopy visits them all; the conic solver where its answer fails."""
         Psi, Y = self.compress(Psi, Y)
-        answers = _homotopy(Psi, Y, mus)
-        return [self._check(Psi, Y, mu, theta) for mu, theta in zip(mus, answers, strict=True)]
+        return [self._proved(Psi, Y, mu, pair) for mu, pair in zip(mus, _homotopy(Psi, Y, mus), strict=True)]
 
-    def _check(self, Psi: np.ndarray, Y: np.ndarray, mu: float, theta: np.ndarray | None) -> Solution | None:
-        if theta is not None:
+    def _proved(self, Psi: np.ndarray, Y: np.ndarray, mu: float, pair: "_Pair | None") -> Solution | None:
+        if pair is not None:
             try:
-                return _accepted([_checked_l1(self, Psi, Y, mu, theta, (Y - Psi @ theta,))], mu)
+                return _accepted([_checked_l1(self, Psi, Y, mu, pair)], mu)
             except NotSolvedError:
                 pass
         try:
-            theta, v = _clarabel_l2(Psi, Y, mu)
-            answers = [_checked_l1(self, Psi, Y, mu, theta, (v, Y - Psi @ theta))]
-            for threshold in (1e-5, 1e-7):
-                polished = _polish_l2(Psi, Y, mu, theta, threshold)
-                if polished is not None:
-                    answers.append(_checked_l1(self, Psi, Y, mu, polished, (Y - Psi @ polished,)))
-            return _accepted(answers, mu)
+            conic = _clarabel_l2(Psi, Y, mu)
+            supports = [np.flatnonzero(np.abs(conic.theta) > t * np.abs(conic.theta).max()) for t in (1e-5, 1e-7)]
+            polished = [_exact_l2(Psi, Y, mu, S, np.sign(conic.theta[S])) for S in supports]
+            pairs = [conic, *(p for p in polished if p is not None)]
+            return _accepted([_checked_l1(self, Psi, Y, mu, p) for p in pairs], mu)
         except NotSolvedError:
             return None
 
@@ -131,7 +128,15 @@ class L2:
         return float(np.linalg.norm(v))
 
 
-def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[np.ndarray | None]:
+@record
+class _Pair:
+    """What a solver claims: theta (n) and a dual vector v (N), up to a positive factor."""
+
+    theta: np.ndarray = field("n")
+    v: np.ndarray = field("N")
+
+
+def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[_Pair | None]:
     """The optimum for each bound: follow min 1/2 ||Y - Psi theta||^2 + tau ||theta||_1 from theta = 0 down in tau.
 
     Between two events (a coefficient joins or leaves) theta is linear in tau and ||Y - Psi theta|| falls. At an optimum
@@ -140,10 +145,10 @@ def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[np.n
     """
     from scipy.linalg import solve_triangular
 
-    found: list[np.ndarray | None] = [None] * len(mus)
+    found: list[_Pair | None] = [None] * len(mus)
     wanted = sorted(range(len(mus)), key=lambda i: -mus[i])
     while wanted and np.linalg.norm(Y) <= mus[wanted[0]]:
-        found[wanted.pop(0)] = np.zeros(Psi.shape[1])
+        found[wanted.pop(0)] = _Pair(np.zeros(Psi.shape[1]), np.zeros(len(Y)))
     c = Psi.T @ Y
     tau = float(np.abs(c).max(initial=0.0))
     frame = _Frame(Psi)
@@ -156,6 +161,7 @@ def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[np.n
         w = solve_triangular(T, frame.sign, trans=1)
         Qw = Q @ w
         outside = Y - Q @ q
+        outside = outside - Q @ (Q.T @ outside)  # near the smallest bound tau is far below the rounding of Y
         a = Psi.T @ Qw
         c = Psi.T @ (outside + tau * Qw)
         d = solve_triangular(T, w)
@@ -175,9 +181,7 @@ def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[np.n
         rest, speed = float(outside @ outside), float(w @ w)
         while wanted and mus[wanted[0]] ** 2 >= rest + (tau - fall) ** 2 * speed:
             i = wanted.pop(0)
-            at = np.sqrt(max(mus[i] ** 2 - rest, 0.0) / speed)
-            answer = found[i] = np.zeros(len(c))
-            answer[S] = solve_triangular(T, q - at * w)
+            found[i] = _exact_l2(Psi, Y, mus[i], np.array(S), frame.sign)
         if fall >= tau or not wanted:
             break
         tau -= fall
@@ -223,7 +227,7 @@ class _Frame:
         self.S.pop(place)
 
 
-def _clarabel_l2(Psi: np.ndarray, Y: np.ndarray, mu: float) -> tuple[np.ndarray, np.ndarray]:
+def _clarabel_l2(Psi: np.ndarray, Y: np.ndarray, mu: float) -> _Pair:
     """theta and the dual vector of the cone; x = (theta, s) with |theta| <= s, ||Y - Psi theta|| <= mu."""
     import clarabel as compiled  # its names are not visible to the type checker
     from scipy import sparse
@@ -255,25 +259,25 @@ def _clarabel_l2(Psi: np.ndarray, Y: np.ndarray, mu: float) -> tuple[np.ndarray,
     cones = [clarabel.NonnegativeConeT(2 * n), clarabel.SecondOrderConeT(1 + len(R))]
     answer = clarabel.DefaultSolver(sparse.csc_matrix((2 * n, 2 * n)), cost, A, b, cones, settings).solve()
     theta = np.array(answer.x)[:n]
-    return theta, -Q @ np.array(answer.z)[2 * n + 1 :]
+    return _Pair(theta, -Q @ np.array(answer.z)[2 * n + 1 :])
 
 
-def _polish_l2(Psi: np.ndarray, Y: np.ndarray, mu: float, theta: np.ndarray, threshold: float) -> np.ndarray | None:
-    """The exact optimum with the signs of `theta`: Psi_S'(Y - Psi_S theta) = tau sign, ||Y - Psi_S theta|| = mu."""
-    S = np.flatnonzero(np.abs(theta) > threshold * np.abs(theta).max())
-    sign = np.sign(theta[S])
+def _exact_l2(Psi: np.ndarray, Y: np.ndarray, mu: float, S: np.ndarray, sign: np.ndarray) -> _Pair | None:
+    """The optimum with this support and these signs: Psi_S'r = tau sign, ||r|| = mu, r = Y - Psi_S theta_S."""
     Q, T = np.linalg.qr(Psi[:, S])
     if len(S) == 0 or np.abs(np.diag(T)).min() <= RANK * np.abs(np.diag(T)).max():
         return None
     q = Q.T @ Y
-    outside = float(np.linalg.norm(Y - Q @ q))
-    if outside > mu:
+    outside = Y - Q @ q
+    outside = outside - Q @ (Q.T @ outside)
+    rest = float(np.linalg.norm(outside))
+    if rest > mu:
         return None
-    direction = np.linalg.solve(T.T, sign)
-    tau = np.sqrt((mu - outside) * (mu + outside)) / np.linalg.norm(direction)
-    polished = np.zeros_like(theta)
-    polished[S] = np.linalg.solve(T, q - tau * direction)
-    return polished
+    w = np.linalg.solve(T.T, sign)
+    tau = np.sqrt((mu - rest) * (mu + rest)) / np.linalg.norm(w)
+    theta = np.zeros(Psi.shape[1])
+    theta[S] = np.linalg.solve(T, q - tau * w)
+    return _Pair(theta, outside + tau * (Q @ w))
 
 
 # ---- l infinity -----------------------------------------------------------------------------------------------------
@@ -294,7 +298,7 @@ class LInf:
         """min max_k |Y - Psi theta|: Chebyshev approximation, interior point in an orthonormal basis of the range."""
         Q, back = orthonormal_range(Psi)
         z, v = _chebyshev(Q, Y)
-        theta = back @ z
+        theta = _coefficients(Psi, Q, back, z)
         # max |r| >= v'Y for every v orthogonal to the range with ||v||_1 = 1
         v = v - Q @ (Q.T @ v)
         value = self.norm(Y - Psi @ theta)
@@ -308,7 +312,7 @@ class LInf:
         program = _RowProgram(np.hstack([Psi, -Psi]) / mu, Y / mu, np.ones(2 * n), np.zeros(2 * n), np.inf)
         x, v = program.solve()
         theta = x[:n] - x[n:]
-        return _accepted([_checked_l1(self, Psi, Y, mu, theta, (v / mu,))], mu)
+        return _accepted([_checked_l1(self, Psi, Y, mu, _Pair(theta, v / mu))], mu)
 
     def path(self, Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[Solution | None]:
         """`sparsest` for several bounds; None where no answer is proved optimal."""
@@ -471,7 +475,7 @@ class _ChebyshevNewton:
         H[:n, n] = H[n, :n] = Q.T @ (self.weight[0] - self.weight[1])
         H[n, n] = both.sum()
         try:
-            self.factor = cho_factor(H + 1e-15 * np.trace(H) / (n + 1) * np.eye(n + 1))
+            self.factor = cho_factor(H)
             self.regular = True
         except LinAlgError:
             self.regular = False
@@ -496,13 +500,11 @@ def _reach(x: np.ndarray, dx: np.ndarray) -> float:
 # ---- checks and bases -----------------------------------------------------------------------------------------------
 
 
-def _checked_l1(bound, Psi, Y, mu, theta, duals) -> Solution:
-    """theta with its violation, and the best lower bound on the l1 norm that the dual candidates give."""
-    lower = 0.0
-    for v in duals:
-        v = v / max(np.abs(Psi.T @ v).max(initial=0.0), 1e-300)
-        lower = max(lower, float(v @ Y) - mu * bound.dual_norm(v))
-    return Solution(theta, float(np.abs(theta).sum()), lower, bound.norm(Y - Psi @ theta))
+def _checked_l1(bound: "Bound", Psi: np.ndarray, Y: np.ndarray, mu: float, pair: _Pair) -> Solution:
+    """theta with what it violates, and the lower bound v'Y - mu ||v||_h' on the l1 norm after ||Psi'v||_inf = 1."""
+    v = pair.v / max(np.abs(Psi.T @ pair.v).max(initial=0.0), 1e-300)
+    lower = max(0.0, float(v @ Y) - mu * bound.dual_norm(v))
+    return Solution(pair.theta, float(np.abs(pair.theta).sum()), lower, bound.norm(Y - Psi @ pair.theta))
 
 
 def _accepted(answers: Sequence[Solution], mu: float) -> Solution:
@@ -524,6 +526,14 @@ def _triangle(M: np.ndarray) -> np.ndarray:
     """R of M = Q R: the same column inner products in as many rows as columns."""
     R: Any = np.linalg.qr(M, mode="r")
     return R
+
+
+def _coefficients(Psi: np.ndarray, Q: np.ndarray, back: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """theta with Psi theta = Q z: back z, refined, since nearly collinear columns make it large."""
+    theta = back @ z
+    for _ in range(2):
+        theta = theta + back @ (Q.T @ (Q @ z - Psi @ theta))
+    return theta
 
 
 def orthonormal_range(Psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

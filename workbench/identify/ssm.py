@@ -40,7 +40,8 @@ from workbench.lpv import (
 from workbench.records import field, record
 
 EXPONENTS = np.array([0.0, 1, 2, 3, 4, -1, -2, -3])  # [1] section 1.4.3
-FACTORS = (1.02, 1.05, 1.1, 1.2)  # mu "slightly larger than the minimum", [1] section 1.4.3
+# mu "slightly larger than the minimum", [1] section 1.4.3; the largest error of thousands is rarer than their energy says
+FACTORS: dict[type, tuple[float, ...]] = {L2: (1.02, 1.05, 1.1, 1.2), LInf: (1.1, 1.2, 1.5, 2.0)}
 TOLERANCE = 0.2  # FIT points by which a sparser candidate may be worse and still be taken
 DIVERGED = 1e3  # a free run beyond this many times the measured range has diverged
 
@@ -123,7 +124,8 @@ class SSM:
 
     order: the number of past samples n; None takes the one of `orders` whose model simulates the estimation records
     best. mu_factor: mu over its smallest feasible value, per output and order; None chooses among `factors` the same
-    way. mu: the bound itself where the noise is known, in units of the output; it overrules mu_factor.
+    way (None: the ones in FACTORS). mu: the bound itself where the noise is known, in units of the output; it
+    overrules mu_factor.
     basis: None is {1, rho, .., rho^4, rho^-1, .., rho^-3} of [1] with rho over its middle value.
     """
 
@@ -133,7 +135,7 @@ class SSM:
     mu_factor: float | None = None
     mu: float | None = None
     orders: Sequence[int] = tuple(range(1, 16))
-    factors: Sequence[float] = FACTORS
+    factors: Sequence[float] | None = None
     penalty: UnitColumns | Plain = field(default=UnitColumns())
     operating_point: FittedZero | RawSignals | ScheduledMean = field(default=FittedZero())
 
@@ -153,7 +155,9 @@ class SSM:
 
     @property
     def _factors(self) -> tuple[float, ...]:
-        return tuple(self.factors) if self.mu_factor is None else (self.mu_factor,)
+        if self.mu_factor is not None:
+            return (self.mu_factor,)
+        return FACTORS[type(self.bound)] if self.factors is None else tuple(self.factors)
 
     def fit(self, dataset: Dataset) -> LPVModel:
         """The model of the order and mu that simulate the records best, with intervals and notes.

@@ -172,8 +172,24 @@ def test_a_wrong_answer_is_not_accepted_whatever_the_solver_says(monkeypatch):
     mu = 1.5 * L2().smallest(Psi, Y).mu
     right = L2().sparsest(Psi, Y, mu)
     for wrong in (L2().smallest(Psi, Y).theta, 0.9 * right.theta):
-        monkeypatch.setattr(sparse, "_homotopy", lambda Psi, Y, mus, wrong=wrong: [wrong])
-        monkeypatch.setattr(sparse, "_clarabel_l2", lambda Psi, Y, mu, wrong=wrong: (wrong, Y - Psi @ wrong))
-        monkeypatch.setattr(sparse, "_polish_l2", lambda *_: None)
+
+        def claim(Psi, Y, _, wrong=wrong):
+            return sparse._Pair(wrong, Y - Psi @ wrong)
+
+        monkeypatch.setattr(sparse, "_homotopy", lambda *problem, claim=claim: [claim(*problem)])
+        monkeypatch.setattr(sparse, "_clarabel_l2", claim)
+        monkeypatch.setattr(sparse, "_exact_l2", lambda *_: None)
         with pytest.raises(NotSolvedError):
             L2().sparsest(Psi, Y, mu)
+
+
+def test_a_bound_just_above_the_smallest_is_still_proved_optimal():
+    # the multiplier tau is then far below the rounding of Y: the proof fails where the residual is not projected twice
+    rng = np.random.default_rng(8)
+    rho = np.linspace(0.5, 1.5, 600)
+    base = 100 + rng.standard_normal((600, 8))
+    Psi = np.hstack([base * rho[:, None] ** e for e in range(-3, 5)])
+    Y = Psi[:, 0] - 0.3 * Psi[:, 20] + rng.uniform(-1, 1, 600)
+    for factor in (1.001, 1.01):
+        answer = L2().sparsest(Psi, Y, factor * L2().smallest(Psi, Y).mu)
+        assert answer.gap <= 1e-7
