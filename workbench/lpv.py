@@ -204,7 +204,7 @@ class LPVModel:
         return control.StateSpace(
             *self.freeze(rho),
             self.dt,
-            name=f"{self.name} at {rho:g}",
+            name=f"{self.name} at {rho:g}".replace(".", "_"),  # python-control refuses names with a dot
             inputs=[c.name for c in self.inputs],
             outputs=[c.name for c in self.outputs],
         )
