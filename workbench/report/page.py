@@ -236,7 +236,7 @@ def _picture(picture: Picture, anchor: str, file: str) -> str:
     return (
         f'<figure id="{anchor}"><h3>{_escape(picture.title)}</h3>\n'
         f'<div class="picture">{drawing}</div>\n'
-        f'<figcaption><span id="{anchor}-caption">{_escape(picture.caption)}</span> '
+        f'<figcaption><span id="{anchor}-caption">{_escape(picture.caption)}</span>&ensp;'
         f"{_download(picture.data, file)}</figcaption></figure>"
     )
 
@@ -251,7 +251,7 @@ def _table(table: Table, anchor: str, file: str) -> str:
         f'<div class="table" id="{anchor}"><h3 id="{anchor}-title">{_escape(table.title)}</h3>\n'
         f'<div class="scroll" role="region" tabindex="0" aria-labelledby="{anchor}-title"><table>'
         f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>\n"
-        f'<p class="caption">{_escape(table.caption)} {_download(table.data, file)}</p></div>'
+        f'<p class="caption">{_escape(table.caption)}{"&ensp;" * bool(table.caption)}{_download(table.data, file)}</p></div>'
     )
 
 
@@ -283,7 +283,7 @@ def _column_texts(column: list[Cell], digits: int) -> list[str]:
     # the median sets the decimals: one number that ran away must not round off the others
     top = math.floor(math.log10(statistics.median_low(sizes)))
     decimals = max(0, digits - 1 - top)
-    same = top >= -4 and max(sizes) < 1e7 and min(sizes) >= 10.0 ** (1 - decimals)
+    same = decimals <= 5 and max(sizes) < 1e7 and min(sizes) >= 10.0 ** (1 - decimals)
     return [_text(cell, f".{decimals}f" if same else f"#.{digits}g") for cell in column]
 
 
@@ -294,6 +294,8 @@ def _text(cell: Cell, form: str) -> str:
         return str(cell)
     if math.isinf(cell):
         return "\N{MINUS SIGN}\N{INFINITY}" if cell < 0 else "\N{INFINITY}"
+    if not cell and form.startswith("#"):
+        return "0"
     number, _, exponent = format(int(cell) if form == "d" else cell, form).removesuffix(".").partition("e")
     power = f" \N{MULTIPLICATION SIGN} 10{str(int(exponent)).translate(SUPERSCRIPT)}" if exponent else ""
     return number.replace("-", "\N{MINUS SIGN}") + power

@@ -41,7 +41,7 @@ figure,.table{{margin:1.75rem 0 2.5rem}}
 svg *{{stroke-linejoin:round;stroke-linecap:butt}}
 svg text{{font-family:inherit;font-variant-numeric:tabular-nums}}
 figcaption,.caption{{color:var(--muted);font-size:.88rem;line-height:1.45;max-width:42rem;margin:.6rem 0 0}}
-.tools{{white-space:nowrap;font-weight:600;margin-left:.35em}}
+.tools{{white-space:nowrap;font-weight:600}}
 .tools a{{text-decoration:none}}
 .tools a:hover,button:hover{{text-decoration:underline}}
 .scroll{{overflow-x:auto}}

@@ -209,8 +209,8 @@ def test_numbers_of_a_column_share_their_decimals_even_when_one_ran_away():
 
 
 def test_a_column_over_many_decades_loses_no_small_number():
-    shown = cells(Table("t", ("p", "value"), (("J", 1.234e-5), ("K", 0.045), ("m", 12.5))))
-    assert [row[0] for row in shown] == ["1.234 × 10⁻⁵", "0.04500", "12.50"]
+    shown = cells(Table("t", ("p", "value"), (("J", 1.234e-5), ("K", 0.045), ("m", -12.5), ("B", 0.0))))
+    assert [row[0] for row in shown] == ["1.234 × 10⁻⁵", "0.04500", "−12.50", "0"]
 
 
 def test_what_is_no_number_is_a_dash_and_infinity_is_said():
