@@ -146,11 +146,14 @@ def _estimates(chosen: Subspace, estimate: PredictorEstimate, draws: int) -> tup
 
 
 def _feature_names(inputs: Sequence[Channel], outputs: Sequence[Channel], poles: int) -> list[tuple[str, str]]:
-    gains = [
-        (f"DC gain {u.name} to {y.name}", f"{y.unit or 1}/({u.unit})" if u.unit else y.unit) for y in outputs for u in inputs
-    ]
+    gains = [(f"DC gain {u.name} to {y.name}", _quotient(y.unit, u.unit)) for y in outputs for u in inputs]
     rank = ("slowest", "second slowest", "third slowest")[:poles]
     return gains + [(f"modulus of the {r} pole", "") for r in rank] + [(f"frequency of the {r} pole", "rad/s") for r in rank]
+
+
+def _quotient(upper: str, lower: str) -> str:
+    upper, lower = (f"({unit})" if set(unit) & set("/ ") else unit for unit in (upper, lower))
+    return f"{upper or 1}/{lower}" if lower else upper
 
 
 def _features(found: Subspace) -> np.ndarray:
