@@ -78,10 +78,12 @@ def test_the_numbers_behind_a_record_are_those_that_went_in():
 def test_no_line_joins_across_a_gap_of_time_or_a_lost_sample():
     t = np.where(np.arange(200) < 120, T, T + 1.0)
     y = Y + 0.5
-    y[50] = np.nan
+    y[:20] = y[50] = np.nan
     picture = figures.measured_and_simulated("r", t, Trace(W3, Y), {"m": y})
     assert [len(piece) for piece in paths(picture, "measured")] == [120, 80]
-    assert [len(piece) for piece in paths(picture, "error-0")] == [50, 69, 80]
+    assert [len(piece) for piece in paths(picture, "error-0")] == [30, 69, 80]
+    # one time axis: the error begins below the sample where the simulation does
+    assert paths(picture, "error-0")[0][0, 0] == paths(picture, "measured")[0][20, 0]
 
 
 @pytest.mark.parametrize("last", [1e300, np.inf, -1e12])
