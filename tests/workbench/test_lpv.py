@@ -143,7 +143,7 @@ def test_a_prediction_knows_outputs_up_to_k_minus_steps_and_no_further(steps):
     model, e = scheduled(), record()
     predicted = model.predict(e, steps)
     for k in range(len(e)):
-        # outputs of samples 0 .. k - steps, then the model alone; the warm-up of 5 is always followed, and only one step ahead
+        # outputs of samples 0 .. k - steps, then the model alone; the warm-up of 5 is always followed
         followed = k if k < 5 else max(k - steps + 1, 5)
         np.testing.assert_allclose(predicted[k], written_out(model, e, followed)[k], atol=1e-10)
 

@@ -77,7 +77,7 @@ class ILM:
         families, refused = _families(self, task)
         blends = [blend for family in families for blend in _blends(self, task, family)]
         best = _choose(blends)
-        notes = _notes(best, blends, refused)
+        notes = _notes(task, best, blends, refused)
         model = _assemble(self, task, best)
         return _finished(model, task, best, self, notes)
 
@@ -158,6 +158,7 @@ class _Family:
     centres: np.ndarray = field("l")
     width: float
     local: tuple[Subspace, ...]
+    left_out: int  # samples in pieces too short for the method
     simulated: tuple[np.ndarray, ...]
 
 
@@ -172,25 +173,31 @@ def _families(options: ILM, task: _Task) -> tuple[list[_Family], list[str]]:
         except InputError as reason:
             refused.append(f"{count} local models could not be had: {reason.problem}")
             continue
-        found.append((0.5 * (edges[:-1] + edges[1:]), float(edges[1] - edges[0]), local))
+        models, left_out = zip(*local, strict=True)
+        found.append((0.5 * (edges[:-1] + edges[1:]), float(edges[1] - edges[0]), models, sum(left_out)))
     if not found:
         raise InputError("; ".join(refused), mend="fewer models, longer records, or a method with smaller past")
     # all models of all families run side by side: the loop over time is paid once
-    together = [model for _, _, local in found for model in local]
+    together = [model for _, _, local, _ in found for model in local]
     runs = [_free_run(together, u, y) for u, y in zip(task.u, task.y, strict=True)]
-    ends = np.cumsum([len(local) for _, _, local in found])
+    ends = np.cumsum([len(local) for _, _, local, _ in found])
     parts = [[run[:, e - len(f[2]) : e] for run in runs] for e, f in zip(ends, found, strict=True)]
-    families = [_Family(f[0], f[1], f[2], tuple(p)) for f, p in zip(found, parts, strict=True)]
+    families = [_Family(f[0], f[1], f[2], f[3], tuple(p)) for f, p in zip(found, parts, strict=True)]
     return families, refused
 
 
-def _local(options: ILM, task: _Task, low: float, high: float) -> Subspace:
-    """[1] step 1: the model of the samples with low <= rho < high; contiguous pieces, never joined across a gap."""
-    pieces = [piece for piece in _pieces(task, low, high) if len(piece) > options.method.past + options.method.future]
+def _local(options: ILM, task: _Task, low: float, high: float) -> tuple[Subspace, int]:
+    """[1] step 1: the model of the samples with low <= rho < high; contiguous pieces, never joined across a gap.
+
+    Beside it the number of samples that were left out, because their piece is too short for the method.
+    """
+    pieces = list(_pieces(task, low, high))
+    everything = sum(map(len, pieces))
+    pieces = [piece for piece in pieces if len(piece) >= options.method.past + options.method.future]
     if not pieces:
         raise InputError(f"no long piece of a record lies in [{low:.4g}, {high:.4g}] {task.schedule.unit}".rstrip())
     method = dataclasses.replace(options.method, order=options.order)
-    return method.fit(Dataset(tuple(pieces)))
+    return method.fit(Dataset(tuple(pieces))), everything - sum(map(len, pieces))
 
 
 def _pieces(task: _Task, low: float, high: float) -> Iterator[Experiment]:
@@ -375,16 +382,23 @@ def _estimates(task: _Task, blend: _Blend, warmup: int, draws: int, *, block: in
     )
 
 
-def _notes(best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tuple[str, ...]:
+def _notes(task: _Task, best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tuple[str, ...]:
     chosen = best.candidate
     kind = "normalised" if chosen.activation.normalised else "plain"
     tried = sorted({b.candidate.models for b in blends})
     best_of = {count: max(b.candidate.FIT for b in blends if b.candidate.models == count) for count in tried}
+    orders = [m.order for m in best.family.local]
+    orders = orders[:1] if len(set(orders)) == 1 else orders
     notes = [
-        f"{chosen.models} local models of order {', '.join(str(m.order) for m in best.family.local)}, {kind} activations, "
+        f"{chosen.models} local models of order {', '.join(map(str, orders))}, {kind} activations, "
         f"overlap {chosen.overlap:g}; free-run FIT on the estimation records by number of models: "
         + ", ".join(f"{count}: {value:.1f}" for count, value in best_of.items())
     ]
+    share = best.family.left_out / sum(map(len, task.rho))
+    if share > 0.01:
+        notes.append(
+            f"{100 * share:.0f} % of the samples were left out: their pieces of a record are too short for the method"
+        )
     for i, (centre, m) in enumerate(zip(best.family.centres, best.family.local, strict=True)):
         radius = float(np.abs(m.poles).max())
         if radius >= 1.0 and _weight(best, i) > 0.0:
