@@ -158,14 +158,14 @@ def _homotopy(Psi: np.ndarray, Y: np.ndarray, mus: Sequence[float]) -> list[_Pai
             break
         Q, T, S = frame.Q, frame.T, frame.S
         q = Q.T @ Y
-        w = solve_triangular(T, frame.sign, trans=1)
+        w = solve_triangular(T, frame.sign, trans=1, check_finite=False)
         Qw = Q @ w
         outside = Y - Q @ q
         outside = outside - Q @ (Q.T @ outside)  # near the smallest bound tau is far below the rounding of Y
         a = Psi.T @ Qw
         c = Psi.T @ (outside + tau * Qw)
-        d = solve_triangular(T, w)
-        theta = solve_triangular(T, q - tau * w)
+        d = solve_triangular(T, w, check_finite=False)
+        theta = solve_triangular(T, q - tau * w, check_finite=False)
         # how far tau falls until something happens
         free = np.ones(len(c), dtype=bool)
         free[S] = False
@@ -221,8 +221,12 @@ class _Frame:
 
     def leave(self, place: int) -> None:
         """Remove the column at `place` of S."""
-        turn, self.T = np.linalg.qr(np.delete(self.T, place, axis=1))
-        self.Q = self.Q @ turn
+        # only what stands right of the column loses its triangle
+        turn, corner = np.linalg.qr(self.T[place:, place + 1 :])
+        T = np.delete(self.T, place, axis=1)[:-1]
+        T[place:, place:] = corner
+        self.T = T
+        self.Q = np.hstack([self.Q[:, :place], self.Q[:, place:] @ turn])
         self.sign = np.delete(self.sign, place)
         self.S.pop(place)
 
