@@ -39,7 +39,8 @@ def simulate(options: Namespace) -> int:
     from dataclasses import replace
 
     from studies.experiments import EXPERIMENTS, plan
-    from workbench import simulate as simulation
+    from workbench.simulate import replay
+    from workbench.simulate import simulate as run_plant
 
     plant = find_plant(options.plant)
     effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)
@@ -60,10 +61,10 @@ def simulate(options: Namespace) -> int:
             todo = plan(options.plant, name)
             scenario = todo.scenario(options.seed)
             scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
-            done = simulation.simulate(plant, todo.controller, scenario, parameters=parameters, effects=effects)
+            done = run_plant(plant, todo.controller, scenario, parameters=parameters, effects=effects)
         else:
             record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
-            done = simulation.replay(plant, record, start=start, parameters=parameters, effects=effects)
+            done = replay(plant, record, start=start, parameters=parameters, effects=effects)
         path = write_csv(done.experiment, folder / f"{done.experiment.name}.csv")
         write_csv(done.states, folder / f"{done.experiment.name}_states.csv")
         say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
@@ -144,9 +145,8 @@ def identify(options: Namespace) -> int:
 
 def compare(options: Namespace) -> int:
     """Score saved models on records that they never saw and test what is left in their residuals."""
-    from workbench.residuals import residual_test
-
     from workbench.lpv import load_model
+    from workbench.residuals import residual_test
 
     models = [load_model(path) for path in options.models]
     results = []

@@ -274,8 +274,8 @@ def _score_blocks(records: Records, scores: tuple[Score, ...], models: list[str]
                 f"Table {title} [%], free run",
                 ("record", "split", *models, *(f"{model} in [1]" for model in models)),
                 tuple(rows),
-                caption=f"{OUTPUT} simulated from the measured inputs, beside the tables of [1]. They describe another machine "
-                "and are quoted as printed: the LTI row of Table 1.2 repeats Table 1.1, the ILM row of Table 1.1 equals its "
+                caption=f"{OUTPUT} simulated from the measured inputs, beside the tables of [1]. These describe another "
+                "machine, quoted as printed: the LTI row of Table 1.2 repeats Table 1.1, the ILM row of Table 1.1 its "
                 'LTI row. [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches".',
                 digits=3,
             )

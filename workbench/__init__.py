@@ -1,5 +1,6 @@
-"""Gain-scheduling control design from measured records."""
+"""Gain-scheduling control design from measured records: the public list."""
 
+# ruff: noqa: E402
 import os
 import sys
 
@@ -10,3 +11,31 @@ if "numpy" in sys.modules:  # too late for the environment
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(limits=1, user_api="blas")
+
+from workbench.advice import advice, feedback
+from workbench.data import Channel, Dataset, Experiment, segments
+from workbench.errors import InputError
+from workbench.identify import METHODS
+from workbench.identify.ilm import ILM
+from workbench.identify.lti import LTI
+from workbench.identify.ssm import SSM
+from workbench.identify.subspace import N4SID, PBSID
+from workbench.lpv import Gaussian, LPVModel, PiecewiseLinear, Powers, load_model
+from workbench.metrics import fit, noise_ceiling, rm, rmse, score
+from workbench.physics.controller import Controller, Playback
+from workbench.physics.effects import EFFECTS
+from workbench.physics.effects.pulley import Pulley
+from workbench.physics.effects.reel import Reel
+from workbench.physics.effects.shaft import Shaft
+from workbench.physics.plant import Parameter, Plant, Start
+from workbench.readers import check_units, read, read_all, write_csv
+from workbench.residuals import residual_test
+from workbench.simulate import Run, Scenario, replay, simulate, simulate_batch
+
+__all__ = [
+    "EFFECTS", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "Channel", "Controller", "Dataset", "Experiment",
+    "Gaussian", "InputError", "LPVModel", "Parameter", "PiecewiseLinear", "Plant", "Playback", "Powers", "Pulley",
+    "Reel", "Run", "Scenario", "Shaft", "Start", "advice", "check_units", "feedback", "fit", "load_model",
+    "noise_ceiling", "read", "read_all", "replay", "residual_test", "rm", "rmse", "score", "segments", "simulate",
+    "simulate_batch", "write_csv",
+]  # fmt: skip

@@ -2,5 +2,6 @@
 
 from workbench.identify.ilm import ILM
 from workbench.identify.lti import LTI
+from workbench.identify.ssm import SSM
 
-METHODS: dict[str, type] = {"lti": LTI, "ilm": ILM}
+METHODS: dict[str, type] = {"lti": LTI, "ilm": ILM, "ssm": SSM}

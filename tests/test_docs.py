@@ -1,0 +1,62 @@
+"""Every code block of README and docs runs here, in order, in one folder per page."""
+
+import os
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from studies.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_code_block_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    before = set(sys.modules)
+    names: dict = {"__name__": "page"}
+    try:
+        for language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
+            assert language in ("python", "sh"), f"a block of {page.name} names no language that is run here: {language!r}"
+            if language == "python":
+                if title := re.match(r"# (\w+\.py)\n", code):
+                    Path(title[1]).write_text(code, encoding="utf-8")
+                exec(compile(code, f"{page.name}", "exec"), names)  # the page's own code, not input
+            else:
+                run_commands(code)
+    finally:
+        for name in set(sys.modules) - before:
+            if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+                del sys.modules[name]
+
+
+def run_commands(code):
+    for line in code.splitlines():
+        for command in line.split("&&"):
+            words = shlex.split(command)
+            if words[:1] == ["workbench"] and words[1:] != ["study", "web-winding"]:  # that one has a test of its own
+                assert main(words[1:]) == 0, line
+
+
+def test_the_add_a_plant_example_is_about_forty_lines():
+    page = (ROOT / "docs" / "add-a-plant.md").read_text(encoding="utf-8")
+    _, code = BLOCK.search(page).groups()
+    assert len([line for line in code.splitlines() if line.strip()]) <= 45
+
+
+def test_readme_states_the_two_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "\npython -m pip install -e . && workbench study web-winding\n" in text
+    assert '\npython -m pip install -e ".[test]" && pytest\n' in text
+
+
+def test_links_between_pages_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([\w/.-]+\.\w+)\)", page.read_text(encoding="utf-8")):
+            assert os.path.exists(page.parent / target), f"{page.name}: {target}"
