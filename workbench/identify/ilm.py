@@ -43,10 +43,12 @@ Activation = Plain | Normalised
 class Candidate:
     """One blend that was tried, and its mean free-run FIT [percent] on the estimation records.
 
+    drift: degree of the operating point u0(rho), y0(rho).
     overlap: distance at which an activation has fallen to one half, in interval widths from the centre, times two.
     """
 
     models: int
+    drift: int
     activation: Activation
     overlap: float
     FIT: float
@@ -58,7 +60,8 @@ class ILM:
 
     models: how many, default each of `sweep`, the smallest number within 0.5 points of the best mean free-run FIT on the
     estimation records. order: of each local model, None for its own singular values. activation: Plain, Normalised, or None
-    for what the estimation records prefer; overlaps: widths of the activations to try. method: identifies the local models.
+    for what the estimation records prefer; overlaps: widths of the activations to try. drift: degrees of the polynomials
+    u0(rho), y0(rho) to try, the lowest within 0.5 points of the best is taken. method: identifies the local models.
     resamples: block-bootstrap draws behind the standard deviations of alpha, 0 for none.
     """
 
@@ -67,24 +70,29 @@ class ILM:
     activation: Activation | None = None
     overlaps: Sequence[float] = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
     sweep: Sequence[int] = tuple(range(2, 16))
+    drift: Sequence[int] = (2, 4, 6)
     method: PBSID | N4SID = field(default=PBSID())
     resamples: int = 100
     name: str = "ILM"
 
     def fit(self, dataset: Dataset) -> LPVModel:
         """The blended model of all records together; raises InputError where no number of local models can be had."""
-        task = _Task.of(self, dataset)
-        families, refused = _families(self, task)
-        blends = [blend for family in families for blend in _blends(self, task, family)]
+        blends, refused = self._tried(dataset)
         best = _choose(blends)
-        notes = _notes(task, best, blends, refused)
-        model = _assemble(self, task, best)
-        return _finished(model, task, best, self, notes)
+        return _finished(_assemble(self, best), best, self, _notes(best, blends, refused))
 
     def candidates(self, dataset: Dataset) -> tuple[Candidate, ...]:
         """Every blend that is tried, with its mean free-run FIT on the estimation records."""
-        task = _Task.of(self, dataset)
-        return tuple(b.candidate for family in _families(self, task)[0] for b in _blends(self, task, family))
+        return tuple(blend.candidate for blend in self._tried(dataset)[0])
+
+    def _tried(self, dataset: Dataset) -> "tuple[list[_Blend], list[str]]":
+        """All blends, and what could not be had."""
+        blends, refused = [], []
+        for degree in self.drift:
+            task = _Task.of(degree, dataset)
+            families, refused = _families(self, task)
+            blends += [blend for family in families for blend in _blends(self, task, family)]
+        return blends, refused
 
 
 # ---- records in deviations ------------------------------------------------------------------------------------------
@@ -105,7 +113,7 @@ class _Task:
     rho: tuple[np.ndarray, ...]
 
     @classmethod
-    def of(cls, options: ILM, dataset: Dataset) -> "_Task":
+    def of(cls, drift: int, dataset: Dataset) -> "_Task":
         first = dataset.experiments[0]
         inputs, outputs = channels_of(first)
         schedule = _schedule_of(first)
@@ -115,7 +123,7 @@ class _Task:
             raise InputError("does not move", channel=schedule.name, mend="use LTI for records at one schedule value")
         u = [experiment[[c.name for c in inputs]] for experiment in dataset]
         y = [experiment[[c.name for c in outputs]] for experiment in dataset]
-        point = _operating_point(np.concatenate(rho), np.concatenate(u), np.concatenate(y))
+        point = _operating_point(drift, np.concatenate(rho), np.concatenate(u), np.concatenate(y))
         phi = [point.basis(r) for r in rho]
         return cls(
             dataset, inputs, outputs, schedule, span, point,
@@ -138,12 +146,13 @@ def _schedule_of(experiment: Experiment) -> Channel:
     return experiment.channel(names[0])
 
 
-def _operating_point(rho: np.ndarray, u: np.ndarray, y: np.ndarray) -> OperatingPoint:
-    """u0(rho), y0(rho): parabolas through the records by least squares.
+def _operating_point(degree: int, rho: np.ndarray, u: np.ndarray, y: np.ndarray) -> OperatingPoint:
+    """u0(rho), y0(rho): polynomials through the records by least squares.
 
-    The equilibrium drifts smoothly with the schedule; three coefficients follow the drift without following the excitation.
+    The equilibrium drifts smoothly with the schedule; a few coefficients follow the drift without following the excitation.
+    What is left of the drift looks like dynamics to the local models, so too low a degree costs more than it saves.
     """
-    basis = Powers(np.arange(3.0), scale=float(np.max(np.abs(rho))))
+    basis = Powers(np.arange(degree + 1.0), scale=float(np.max(np.abs(rho))))
     phi = basis(rho)
     return OperatingPoint(basis, np.linalg.lstsq(phi, u)[0], np.linalg.lstsq(phi, y)[0])
 
@@ -234,6 +243,7 @@ def _free_run(models: Sequence[Subspace], u: np.ndarray, y: np.ndarray) -> np.nd
 @record
 class _Blend:
     candidate: Candidate
+    task: _Task
     family: _Family
     basis: Gaussian
     alpha: np.ndarray = field("l ny", low=0.0, high=1.0)
@@ -258,7 +268,9 @@ def _blends(options: ILM, task: _Task, family: _Family) -> Iterator[_Blend]:
                 for y, w, offset in zip(task.y, weighted, _offsets(task), strict=True)
                 for j in range(len(task.outputs))
             ]
-            yield _Blend(Candidate(len(family.local), kind, overlap, float(np.mean(scores))), family, basis, alpha)
+            degree = len(task.point.u) - 1
+            candidate = Candidate(len(family.local), degree, kind, overlap, float(np.mean(scores)))
+            yield _Blend(candidate, task, family, basis, alpha)
 
 
 def _offsets(task: _Task) -> list[np.ndarray]:
@@ -281,16 +293,16 @@ def _bounded(X: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _choose(blends: Sequence[_Blend]) -> _Blend:
-    """The best blend of the smallest number of models that is within half a point of the best."""
+    """Of the blends within half a point of the best: the lowest drift, of those the fewest models, of those the best."""
     best = max(b.candidate.FIT for b in blends)
-    few = min(b.candidate.models for b in blends if best - TIE <= b.candidate.FIT)
-    return max((b for b in blends if b.candidate.models == few), key=lambda b: b.candidate.FIT)
+    near = [b for b in blends if best - TIE <= b.candidate.FIT]
+    return min(near, key=lambda b: (b.candidate.drift, b.candidate.models, -b.candidate.FIT))
 
 
 # ---- the model ------------------------------------------------------------------------------------------------------
 
 
-def _assemble(options: ILM, task: _Task, blend: _Blend) -> LPVModel:
+def _assemble(options: ILM, blend: _Blend) -> LPVModel:
     """Block-diagonal A and stacked B in a constant term; C_i alpha_i in the term of activation i.
 
     A local model whose alpha is zero for every output has no states here.
@@ -299,6 +311,7 @@ def _assemble(options: ILM, task: _Task, blend: _Blend) -> LPVModel:
 
     used = [i for i in range(len(blend.alpha)) if _weight(blend, i) > 0.0]
     local = [blend.family.local[i] for i in used]
+    task = blend.task
     last, nx, nu, ny = len(blend.alpha), sum(m.order for m in local), len(task.inputs), len(task.outputs)
     A, B = np.zeros((last + 1, nx, nx)), np.zeros((last + 1, nx, nu))
     C, D = np.zeros((last + 1, ny, nx)), np.zeros((last + 1, ny, nu))
@@ -342,9 +355,9 @@ def _predictors(model: LPVModel, blend: _Blend, warmup: int) -> tuple[Predictor,
     return (shared, separate) if radius < 1.0 else (separate,)
 
 
-def _finished(model: LPVModel, task: _Task, blend: _Blend, options: ILM, notes: tuple[str, ...]) -> LPVModel:
+def _finished(model: LPVModel, blend: _Blend, options: ILM, notes: tuple[str, ...]) -> LPVModel:
     """With the observer that predicts the estimation records better one step ahead, its noise, and the spread of alpha."""
-    warmup = options.method.past
+    task, warmup = blend.task, options.method.past
     names = [c.name for c in task.outputs]
     choices = []
     for predictor in _predictors(model, blend, warmup):
@@ -353,11 +366,12 @@ def _finished(model: LPVModel, task: _Task, blend: _Blend, options: ILM, notes: 
         choices.append(dataclasses.replace(candidate, noise=e.T @ e / len(e)))
     power = np.var(task.stacked(task.y, warmup), axis=0)
     best = min(choices, key=lambda m: float(np.sum(np.diag(m.noise) / power)))
-    return dataclasses.replace(best, estimates=_estimates(task, blend, warmup, options.resamples), notes=notes)
+    return dataclasses.replace(best, estimates=_estimates(blend, warmup, options.resamples), notes=notes)
 
 
-def _estimates(task: _Task, blend: _Blend, warmup: int, draws: int, *, block: int = 50) -> tuple[Estimate, ...]:
+def _estimates(blend: _Blend, warmup: int, draws: int, *, block: int = 50) -> tuple[Estimate, ...]:
     """alpha with standard deviations: blocks of rows drawn anew, the local models as they are."""
+    task = blend.task
     outputs = [np.nan_to_num(s, posinf=0.0, neginf=0.0) for s in blend.family.simulated]
     rows = task.stacked([blend.basis(r)[..., None] * s for r, s in zip(task.rho, outputs, strict=True)], warmup)
     y = task.stacked(task.y, warmup)
@@ -382,7 +396,7 @@ def _estimates(task: _Task, blend: _Blend, warmup: int, draws: int, *, block: in
     )
 
 
-def _notes(task: _Task, best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tuple[str, ...]:
+def _notes(best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tuple[str, ...]:
     chosen = best.candidate
     kind = "normalised" if chosen.activation.normalised else "plain"
     tried = sorted({b.candidate.models for b in blends})
@@ -391,10 +405,11 @@ def _notes(task: _Task, best: _Blend, blends: Sequence[_Blend], refused: Sequenc
     orders = orders[:1] if len(set(orders)) == 1 else orders
     notes = [
         f"{chosen.models} local models of order {', '.join(map(str, orders))}, {kind} activations, "
-        f"overlap {chosen.overlap:g}; free-run FIT on the estimation records by number of models: "
+        f"overlap {chosen.overlap:g}, operating point of degree {chosen.drift}; "
+        "free-run FIT on the estimation records by number of models: "
         + ", ".join(f"{count}: {value:.1f}" for count, value in best_of.items())
     ]
-    share = best.family.left_out / sum(map(len, task.rho))
+    share = best.family.left_out / sum(map(len, best.task.rho))
     if share > 0.01:
         notes.append(
             f"{100 * share:.0f} % of the samples were left out: their pieces of a record are too short for the method"
