@@ -173,8 +173,7 @@ def _identify(records: Records, quick: bool, progress: Say) -> Identified:
     best = sweep.best  # on the estimation records: the held-out ones are only shown
     factor = float((best.mu / best.smallest)[0])
     models["SSM"] = replace(ssm, order=best.order, mu_factor=factor).fit(records.estimation)
-    named = {name: replace(model, name=name) for name, model in models.items()}
-    return Identified(named, seconds, PBSID().fit(records.estimation).singular_values, sweep, best)
+    return Identified(models, seconds, PBSID().fit(records.estimation).singular_values, sweep, best)
 
 
 def _score(identified: Identified, records: Records, progress: Say) -> tuple[Score, ...]:

@@ -138,6 +138,7 @@ class SSM:
     factors: Sequence[float] | None = None
     penalty: UnitColumns | Plain = field(default=UnitColumns())
     operating_point: FittedZero | RawSignals | ScheduledMean = field(default=FittedZero())
+    name: str = "SSM"
 
     def __post_init__(self):
         for n in self._orders:
@@ -491,7 +492,7 @@ def _model(problem: _Problem, best: Candidate) -> LPVModel:
     K[:] = (A - F)[:, :, : len(names.outputs)]
     estimates, noise = _uncertainty(problem, best)
     model = LPVModel(
-        name=f"SSM of order {n}",
+        name=problem.options.name,
         dt=problem.dt,
         inputs=names.inputs,
         outputs=names.outputs,

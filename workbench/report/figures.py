@@ -461,7 +461,7 @@ def _limit(axes: Axes, own: np.ndarray, others: list[np.ndarray]) -> set[int]:
     finite = finite[np.isfinite(finite)]
     bottom, top = max(finite.min(), floor), min(finite.max(), ceiling)
     axes.set_ylim(bottom - 0.04 * (top - bottom or 1.0), top + 0.04 * (top - bottom or 1.0))
-    return {i for i, y in enumerate(others) if not np.all((y >= floor) & (y <= ceiling))}
+    return {i for i, y in enumerate(others) if not np.all(np.isnan(y) | ((y >= floor) & (y <= ceiling)))}
 
 
 def _limit_errors(axes: Axes, own: np.ndarray, errors: list[np.ndarray]) -> set[int]:
@@ -470,7 +470,7 @@ def _limit_errors(axes: Axes, own: np.ndarray, errors: list[np.ndarray]) -> set[
     finite = np.abs(np.concatenate([[0.0], *errors]))
     top = min(float(finite[np.isfinite(finite)].max()) or bound, bound)
     axes.set_ylim(-1.05 * top, 1.05 * top)
-    return {i for i, e in enumerate(errors) if not np.all(np.abs(e) <= bound)}
+    return {i for i, e in enumerate(errors) if not np.all(np.isnan(e) | (np.abs(e) <= bound))}
 
 
 def _fit_axis(axes: Axes, curves: list[np.ndarray]) -> None:

@@ -1,0 +1,160 @@
+"""Every command as a person would call it: right, and wrong."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from studies.cli import main
+from workbench.readers import read
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """Three short records of the machine as CSV files."""
+    folder = tmp_path_factory.mktemp("records")
+    assert main(["simulate", "web-winding", "--experiment", "prbs1", "rbs", "rgs", "--seed", "7", "--out", str(folder)]) == 0
+    return folder
+
+
+def refused(capsys, *words):
+    """Exit code 2 and the message."""
+    try:
+        code = main(list(words))
+    except SystemExit as stop:
+        code = stop.code
+    assert code == 2
+    return capsys.readouterr().err
+
+
+def test_help_needs_no_numerical_package():
+    """Help must come at once: nothing heavy is imported for it."""
+    code = (
+        "import sys\nfrom studies.cli import parser\nparser().format_help()\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'casadi', 'matplotlib', 'control', 'cvxpy'} & set(sys.modules)\n"
+        "raise SystemExit(str(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_simulated_records_hold_what_the_loop_did(records):
+    e = read(records / "prbs1.csv")
+    assert e.names_of("input") == ("V1", "V2")
+    assert e.names_of("reference") == ("w3_set", "theta_set")
+    assert set(np.unique(e["w3_set"])) == {79.0, 121.0}
+    assert len(e) == 2250
+    assert e.dt == pytest.approx(0.04)
+    summary = json.loads((records / "simulate.json").read_text())
+    assert summary["provenance"]["seed"] == 7
+    assert summary["provenance"]["versions"]["numpy"] == np.__version__
+
+
+def test_same_seed_same_bytes(records, tmp_path):
+    main(["simulate", "web-winding", "--experiment", "rgs", "--seed", "7", "--out", str(tmp_path)])
+    assert (tmp_path / "rgs.csv").read_bytes() == (records / "rgs.csv").read_bytes()
+    main(["simulate", "web-winding", "--experiment", "rgs", "--seed", "8", "--out", str(tmp_path)])
+    assert (tmp_path / "rgs.csv").read_bytes() != (records / "rgs.csv").read_bytes()
+
+
+def test_effects_parameters_and_start_reach_the_plant(tmp_path):
+    common = ["simulate", "web-winding", "--experiment", "ramp", "--quiet"]
+    main([*common, "--out", str(tmp_path / "a")])
+    main([*common, "--effect", "coulomb@rewind:level=0.002,width=2", "--out", str(tmp_path / "b")])
+    main([*common, "--parameter", "J0=3e-5", "--start", "w3=90", "--out", str(tmp_path / "c")])
+    a, b, c = (read(tmp_path / x / "ramp.csv") for x in "abc")
+    # the loop holds the speed: friction shows in the voltage, V = Ra/kT level = 0.2 V
+    assert np.mean(b["V2"] - a["V2"]) == pytest.approx(0.2, abs=0.02)
+    assert c["w3"][0] == pytest.approx(90.0)
+
+
+def test_identify_and_compare(records, tmp_path, capsys):
+    paths = [str(records / f"{name}.csv") for name in ("prbs1", "rbs", "rgs")]
+    words = ["identify", paths[0], paths[1], "--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--order", "3"]
+    assert main([*words, "--validate", paths[2], "--out", str(tmp_path), "--json", str(tmp_path / "s.json")]) == 0
+    said = capsys.readouterr().out
+    first = next(line for line in said.splitlines() if line.startswith(("LTI", "ILM", "SSM")))
+    assert "held-out" in first  # the headline
+    assert "free-run" in first
+    content = json.loads((tmp_path / "s.json").read_text())
+    assert [m["model"] for m in content["models"]] == ["LTI", "ILM", "SSM"]
+    one = content["models"][2]["scores"][0]
+    assert set(one) == {"record", "split", "output", "horizon", "FIT", "RM", "RMSE", "unit"}
+    assert set(content["provenance"]["data"]) == {"prbs1.csv", "rbs.csv", "rgs.csv"}
+    free = {
+        m["model"]: next(s["FIT"] for s in m["scores"] if s["split"] == "held-out" and s["horizon"] == "free-run")
+        for m in content["models"]
+    }
+    assert free["SSM"] > free["ILM"] > free["LTI"]
+
+    models = [str(tmp_path / f"{m}.json") for m in ("lti", "ssm")]
+    assert main(["compare", *models, "--records", paths[2], "--out", str(tmp_path), "--json", str(tmp_path / "c.json")]) == 0
+    again = json.loads((tmp_path / "c.json").read_text())
+    for model in again["models"]:  # a saved model scores as it did before it was saved
+        same = next(s["FIT"] for s in model["scores"] if s["horizon"] == "free-run")
+        assert same == pytest.approx(free[model["model"]], abs=1e-9)
+    assert "residual" in capsys.readouterr().out
+
+
+def test_wrong_words_get_the_nearest_one(capsys, tmp_path, records):
+    a = str(records / "prbs1.csv")
+    assert "did you mean simulate?" in refused(capsys, "simulte", "web-winding")
+    assert "did you mean --experiment?" in refused(capsys, "simulate", "web-winding", "--experimnt", "prbs1")
+    assert "did you mean 'web-winding'" in refused(capsys, "simulate", "web-winder", "--experiment", "prbs1")
+    assert "did you mean 'prbs2'" in refused(capsys, "simulate", "web-winding", "--experiment", "prbs")
+    assert "did you mean 'coulomb@unwind'" in refused(
+        capsys, "simulate", "web-winding", "--experiment", "rbs", "--effect", "columb@unwind:level=1", "--out", str(tmp_path)
+    )
+    assert "name=number" in refused(
+        capsys, "simulate", "web-winding", "--experiment", "rbs", "--effect", "coulomb@unwind:level", "--out", str(tmp_path)
+    )
+    assert "give --experiment prbs1 | prbs2" in refused(capsys, "simulate", "web-winding")
+    assert "did you mean 'w3'" in refused(capsys, "identify", a, "--output", "w33", "--inputs", "V1,V2")
+    assert "did you mean 'ssm'" in refused(capsys, "identify", a, "--model", "smm")
+    assert "known: web-winding" in refused(capsys, "study", "unknown")
+
+
+def test_wrong_files_are_named(capsys, tmp_path, records):
+    a = str(records / "prbs1.csv")
+    assert "nothing.csv" in refused(capsys, "identify", str(tmp_path / "nothing.csv"))
+    assert "both an estimation and a held-out record" in refused(capsys, "identify", a, "--validate", a)
+    broken = tmp_path / "model.json"
+    broken.write_text('{"schema": ')
+    assert "line 1" in refused(capsys, "compare", str(broken), "--records", a)
+    broken.write_text('{"schema": "other"}')
+    assert "not an LPV model" in refused(capsys, "compare", str(broken), "--records", a)
+    wrong = tmp_path / "rpm.csv"
+    text = (records / "rgs.csv").read_text().replace("w3 [rad/s]", "w3 [rpm]", 1)
+    wrong.write_text(text)
+    message = refused(
+        capsys, "study", "web-winding", "--data", str(_folder_with(tmp_path / "d", wrong, records / "rbs.csv"))
+    )
+    assert "rpm" in message
+    assert "w3" in message
+    plant = tmp_path / "mine.py"
+    plant.write_text("x = = 1\n")
+    assert "line 1" in refused(capsys, "simulate", f"{plant}:PLANT", "--inputs-from", a)
+    plant.write_text("x = 1\n")
+    assert "no plant in this file" in refused(capsys, "simulate", f"{plant}:PLANT", "--inputs-from", a)
+    assert f"write {plant}:NAME" in refused(capsys, "simulate", str(plant), "--inputs-from", a)
+
+
+def _folder_with(folder, *files):
+    folder.mkdir()
+    for file in files:
+        (folder / file.name).write_bytes(file.read_bytes())
+    return folder
+
+
+def test_an_unwritable_folder_is_refused(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    message = refused(capsys, "simulate", "web-winding", "--experiment", "rbs", "--out", str(tmp_path / "file" / "sub"))
+    assert "choose another --out" in message
+
+
+def test_doctor_finds_this_machine_fit(capsys, tmp_path):
+    assert main(["doctor", "--json", str(tmp_path / "doctor.json")]) == 0
+    assert "simulation" in capsys.readouterr().out
+    assert all(finding["fine"] for finding in json.loads((tmp_path / "doctor.json").read_text())["findings"])
