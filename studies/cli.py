@@ -76,7 +76,12 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--output", "--outputs", dest="outputs", metavar="A,B", help="output channels (default: by name)")
     sub.add_argument("--inputs", "--input", dest="inputs", metavar="A,B", help="input channels (default: by name)")
     sub.add_argument("--schedule", metavar="A", help="scheduling channel (default: by name; none for LTI)")
-    sub.add_argument("--model", default="all", metavar="M", help="lti, ilm, ssm or several: lti,ssm (default all)")
+    sub.add_argument(
+        "--model",
+        default="all",
+        metavar="M",
+        help="lti, ilm, ssm, several (lti,ssm), all, or best: chosen on the estimation records",
+    )
     sub.add_argument("--order", type=int, help="model order (default: chosen on the estimation records)")
     sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
     sub.add_argument("--horizon", type=int, default=25, help="steps of the k-step prediction that is scored (default 25)")

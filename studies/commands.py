@@ -110,9 +110,9 @@ def identify(options: Namespace) -> int:
     from workbench.advice import advice
     from workbench.identify import METHODS
 
-    wanted = tuple(METHODS) if options.model == "all" else names(options.model)
+    wanted = tuple(METHODS) if options.model in ("all", "best") else names(options.model)
     for method in wanted:
-        check_known("model", method, METHODS)
+        check_known("model", method, (*METHODS, "all", "best"))
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
     dataset = read_all(options.records, **roles)
     held_out = read_all(options.validate, **roles) if options.validate else None
@@ -123,14 +123,12 @@ def identify(options: Namespace) -> int:
     say(_described(dataset))
     for note in advice(dataset, order=options.order):
         say(f"{note.severity}: {note.record}{', ' + note.channel if note.channel else ''}: {note.sentence}")
+    if not dataset.experiments[0].names_of("schedule") and "ilm" in wanted:
+        progress("ilm: skipped, it needs a schedule (--schedule)")
+        wanted = tuple(method for method in wanted if method != "ilm")
+    methods = {name: METHODS[name]() if options.order is None else METHODS[name](order=options.order) for name in wanted}
     results = []
-    for method in wanted:
-        if method != "lti" and not dataset.experiments[0].names_of("schedule"):
-            progress(f"{method}: skipped, it needs a schedule (--schedule)")
-            continue
-        progress(f"{method}: identifying")
-        option = METHODS[method]() if options.order is None else METHODS[method](order=options.order)
-        model = option.fit(dataset)
+    for method, model in _fitted(options.model, methods, dataset):
         model.save(folder / f"{method}.json")
         for note in model.notes:
             say(f"note: {method}: {note}")
@@ -138,9 +136,24 @@ def identify(options: Namespace) -> int:
     _say_scores(results)
     if not options.validate:
         say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
-    configuration = {"model": wanted, "order": options.order} | roles
+    configuration = {"model": options.model, "order": options.order} | roles
     _write_scores(options, folder, "identify", results, configuration, [*options.records, *options.validate])
     return 0
+
+
+def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[tuple[str, Any]]:
+    """Every method fitted, or with `best` the one that the last third of the estimation records prefers."""
+    if model == "best":
+        from workbench.identify.selection import choose
+
+        choice = choose(methods, dataset, progress=progress)
+        judged = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
+        say(f"chosen: {choice.method}; free-run FIT on the last third of the estimation records: {judged}")
+        yield choice.method, choice.model
+        return
+    for name, method in methods.items():
+        progress(f"{name}: identifying")
+        yield name, method.fit(dataset)
 
 
 def compare(options: Namespace) -> int:
@@ -187,8 +200,8 @@ def _check_roles(dataset: Dataset, wanted: Sequence[str]) -> None:
     ):
         if not found:
             raise InputError(f"no {role} channel among {', '.join(first.names)}", file=first.name, mend=f"give {option}")
-    if any(method != "lti" for method in wanted) and len(wanted) == 1 and not first.names_of("schedule"):
-        raise InputError(f"{wanted[0]} needs a scheduling channel", file=first.name, mend="give --schedule")
+    if tuple(wanted) == ("ilm",) and not first.names_of("schedule"):
+        raise InputError("ilm needs a scheduling channel", file=first.name, mend="give --schedule")
 
 
 def _described(dataset: Dataset) -> str:

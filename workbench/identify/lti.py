@@ -4,12 +4,14 @@ The order is chosen on the estimation records alone, by free-run FIT among the o
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from workbench.advice import feedback
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
+from workbench.identify.feedthrough import acts_at_once
 from workbench.identify.subspace import N4SID, PBSID, PredictorEstimate, Subspace, predictor_estimate, resampled
 from workbench.lpv import CONSTANT, Estimate, LPVModel, OperatingPoint, Predictor, constant_model
 from workbench.metrics import score
@@ -33,6 +35,7 @@ class LTI:
 
     order: default the smallest of `orders` whose mean free-run FIT on the estimation records is within 0.5 points of the
     best. method: PBSID (consistent in closed loop) or N4SID, whose windows are used and whose own order is not.
+    feedthrough: estimate D; None where the records show that inputs act within the sample.
     resamples: block-bootstrap draws behind the standard deviations of the estimates (PBSID only), 0 for none.
     """
 
@@ -40,6 +43,7 @@ class LTI:
     method: PBSID | N4SID = field(default=PBSID())
     orders: Sequence[int] = tuple(range(1, 11))
     resamples: int = 40
+    feedthrough: bool | None = None
     name: str = "LTI"
 
     def fit(self, dataset: Dataset) -> LPVModel:
@@ -48,7 +52,7 @@ class LTI:
         The operating point is the model's own equilibrium nearest to the mean of the records. It is not the mean itself: an
         offset between the two would act as a constant disturbance on the dynamics; nor the first samples, which carry noise.
         """
-        estimate = self.method.estimate(dataset)
+        estimate = self._method(dataset).estimate(dataset)
         tried = self._candidates(estimate, dataset)
         order = self.order or _smallest_near_best(tried)
         chosen = estimate.realise(order)
@@ -58,7 +62,11 @@ class LTI:
 
     def sweep(self, dataset: Dataset) -> tuple[Candidate, ...]:
         """Mean free-run FIT on the estimation records for every order that can be had from them."""
-        return self._candidates(self.method.estimate(dataset), dataset)
+        return self._candidates(self._method(dataset).estimate(dataset), dataset)
+
+    def _method(self, dataset: Dataset) -> PBSID | N4SID:
+        direct = acts_at_once(dataset) if self.feedthrough is None else self.feedthrough
+        return replace(self.method, feedthrough=direct)
 
     def _candidates(self, estimate, dataset: Dataset) -> tuple[Candidate, ...]:
         if self.order is not None:

@@ -25,6 +25,7 @@ import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
+from workbench.identify.feedthrough import acts_at_once
 from workbench.identify.sparse import L2, Bound, LInf, NotSolvedError, Solution, orthonormal_range
 from workbench.lpv import (
     CONSTANT,
@@ -93,7 +94,7 @@ class FittedZero:
     def of(self, problem: "_Problem", dataset: Dataset) -> OperatingPoint:
         raw = RawSignals().of(problem, dataset)
         signals = [problem.signals_of(e, raw) for e in dataset]
-        return replace(raw, y=_zero(signals, min(self.order, max(problem.options._orders)))[None])
+        return replace(raw, y=_zero(signals, problem.direct, min(self.order, max(problem.options._orders)))[None])
 
 
 @record
@@ -127,6 +128,7 @@ class SSM:
     way (None: the ones in FACTORS). mu: the bound itself where the noise is known, in units of the output; it
     overrules mu_factor.
     basis: None is {1, rho, .., rho^4, rho^-1, .., rho^-3} of [1] with rho over its middle value.
+    feedthrough: a term D u(k) with constant D; None where the records show that inputs act within the sample.
     """
 
     order: int | None = None
@@ -138,6 +140,7 @@ class SSM:
     factors: Sequence[float] | None = None
     penalty: UnitColumns | Plain = field(default=UnitColumns())
     operating_point: FittedZero | RawSignals | ScheduledMean = field(default=FittedZero())
+    feedthrough: bool | None = None
     name: str = "SSM"
 
     def __post_init__(self):
@@ -256,6 +259,8 @@ class _Problem:
                 raise InputError(
                     f"{len(e)} samples for order {longest}", file=e.name, mend="give longer records or lower orders"
                 )
+        # direct(m): 1 for the constant function, by which alone u(k) is multiplied, or all 0 without a feed-through
+        self.direct = _direct(self.basis, acts_at_once(dataset) if options.feedthrough is None else options.feedthrough)
         self.point = options.operating_point.of(self, dataset)
         self.signals = [self.signals_of(e, self.point) for e in dataset]
 
@@ -270,7 +275,7 @@ class _Problem:
 
     def regression(self, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Psi (rows, nr m) and Y (rows, ny), row blocks by record."""
-        blocks = [_regressors(s, n) for s in self.signals]
+        blocks = [_regressors(s, n, self.direct) for s in self.signals]
         return np.vstack(blocks), np.vstack([s.y[n:] for s in self.signals])
 
 
@@ -309,21 +314,30 @@ def _middle(rho: np.ndarray) -> float:
     return float(np.abs(0.5 * (rho.min() + rho.max()))) or 1.0
 
 
-def _regressors(s: _Signals, n: int) -> np.ndarray:
-    """Psi (N - n, nr m): columns y(k-1) .. y(k-n), u(k-1) .. u(k-n) [1] eq. (1.7), each times all basis functions."""
+def _direct(basis: Basis, wanted: bool) -> np.ndarray:
+    if not wanted:
+        return np.zeros(len(basis.names))
+    if not isinstance(basis, Powers) or not np.any(basis.exponents == 0):
+        raise InputError("a feed-through needs a basis with the constant 1", mend="use Powers with exponent 0")
+    return (basis.exponents == 0).astype(float)
+
+
+def _regressors(s: _Signals, n: int, direct: np.ndarray) -> np.ndarray:
+    """Psi (N - n, nr m): y(k-1) .. y(k-n), u(k-1) .. u(k-n) [1] eq. (1.7) times all basis functions, u(k) times `direct`."""
     k = np.arange(n, len(s.y))
     past = [s.y[k - i, :, None] * s.phi[k - n, None, :] for i in range(1, n + 1)]
     past += [s.u[k - i, :, None] * s.phi[k - i, None, :] for i in range(1, n + 1)]
+    past += [s.u[k, :, None] * direct]
     return np.concatenate(past, axis=1).reshape(len(k), -1)
 
 
-def _zero(signals: Sequence[_Signals], n: int) -> np.ndarray:
+def _zero(signals: Sequence[_Signals], direct: np.ndarray, n: int) -> np.ndarray:
     """y0 (ny) of `FittedZero`. The valley around the right value is wide at order 1 and narrow at higher ones."""
     from scipy.optimize import minimize
 
     y = np.concatenate([s.y for s in signals])
     spread = np.where(y.std(axis=0) > 0, y.std(axis=0), 1.0)
-    coarse, fine = _bias_criterion(signals, 1), _bias_criterion(signals, n)
+    coarse, fine = _bias_criterion(signals, direct, 1), _bias_criterion(signals, direct, n)
     steps = np.concatenate([[0.0], *([x, -x] for x in np.geomspace(0.25, 64, 17))])
     y0 = np.zeros(y.shape[1])
     for _ in range(2):
@@ -347,13 +361,13 @@ def _zero(signals: Sequence[_Signals], n: int) -> np.ndarray:
     return y0
 
 
-def _bias_criterion(signals: Sequence[_Signals], n: int) -> Callable[[np.ndarray], float]:
+def _bias_criterion(signals: Sequence[_Signals], direct: np.ndarray, n: int) -> Callable[[np.ndarray], float]:
     """y0 -> sum over outputs of log ||e||^2, e the least squares error of the recursion in y - y0.
 
     (y(k-i) - y0) phi_j(p(k-n)) and y(k) - y0 are sums of columns that do not depend on y0, so one triangle serves all y0.
     """
     ny, m = signals[0].y.shape[1], signals[0].phi.shape[1]
-    blocks = [np.column_stack([_regressors(s, n), s.phi[:-n], s.y[n:], np.ones(len(s.y) - n)]) for s in signals]
+    blocks = [np.column_stack([_regressors(s, n, direct), s.phi[:-n], s.y[n:], np.ones(len(s.y) - n)]) for s in signals]
     R: Any = np.linalg.qr(np.vstack(blocks), mode="r")
     columns = R.shape[1] - m - ny - 1
     past, forced = R[:, : n * ny * m].reshape(len(R), n, ny, m), R[:, n * ny * m : columns]
@@ -369,12 +383,21 @@ def _bias_criterion(signals: Sequence[_Signals], n: int) -> Callable[[np.ndarray
     return criterion
 
 
-def _parts(theta: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """alpha of f (n, ny, ny, m) and of g (n, ny, nu, m): lag, output, past signal, function; theta (ny, nr, m)."""
-    ny, _, m = theta.shape
-    f = theta[:, : n * ny].reshape(ny, n, ny, m)
-    g = theta[:, n * ny :].reshape(ny, n, -1, m)
-    return f.transpose(1, 0, 2, 3), g.transpose(1, 0, 2, 3)
+@record
+class _Parts:
+    """theta (ny, nr, m) by meaning: f (n, ny, ny, m), g (n, ny, nu, m) by lag, output, past signal, function; D (ny, nu)."""
+
+    f: np.ndarray = field("n ny ny m")
+    g: np.ndarray = field("n ny nu m")
+    D: np.ndarray = field("ny nu")
+
+
+def _parts(theta: np.ndarray, n: int) -> _Parts:
+    ny, nr, m = theta.shape
+    nu = (nr - n * ny) // (n + 1)
+    f = theta[:, : n * ny].reshape(ny, n, ny, m).transpose(1, 0, 2, 3)
+    g = theta[:, n * ny : n * (ny + nu)].reshape(ny, n, nu, m).transpose(1, 0, 2, 3)
+    return _Parts(f, g, theta[:, n * (ny + nu) :].sum(axis=2))
 
 
 # ---- the sweep ------------------------------------------------------------------------------------------------------
@@ -443,7 +466,7 @@ def _refit(bound: Bound, Psi: np.ndarray, Y: np.ndarray, first: Solution, scale:
 
 def _radius(theta: np.ndarray, n: int, problem: _Problem, points: int = 21) -> float:
     """Largest spectral radius of the frozen recursion over the schedule's span."""
-    f, _ = _parts(theta, n)
+    f = _parts(theta, n).f
     ny = f.shape[1]
     grid = problem.basis(np.linspace(problem.span[0], problem.span[1], points))
     A = np.zeros((points, n * ny, n * ny))
@@ -464,9 +487,10 @@ def _free_run_fit(theta: np.ndarray, n: int, s: _Signals, start: int) -> float:
 
 def _free_run(theta: np.ndarray, n: int, s: _Signals, start: int) -> np.ndarray | None:
     """y (N, ny) of the recursion from measured inputs and schedule; measured outputs before `start`; None: diverged."""
-    f, g = _parts(theta, n)
+    parts = _parts(theta, n)
+    f, g = parts.f, parts.g
     N, ny = s.y.shape
-    forced = np.zeros((N, ny))
+    forced = s.u @ parts.D.T
     for i in range(1, n + 1):
         forced[i:] += np.einsum("kab,kb->ka", np.tensordot(s.phi, g[i - 1], (1, 2)), s.u)[: N - i]
     # newest sample last, as it lies in memory: y(k-n) .. y(k-1)
@@ -488,6 +512,9 @@ def _model(problem: _Problem, best: Candidate) -> LPVModel:
     names, n = problem.names, best.order
     basis, unity = _with_unity(problem.basis)
     A, B, C, F, terms = _realise(best.theta, n, unity)
+    D0 = _parts(best.theta, n).D
+    D = np.zeros((len(terms), *D0.shape))
+    D[: np.count_nonzero(unity)] = unity[unity != 0, None, None] * D0
     K = np.zeros((*A.shape[:2], len(names.outputs)))
     K[:] = (A - F)[:, :, : len(names.outputs)]
     estimates, noise = _uncertainty(problem, best)
@@ -501,9 +528,9 @@ def _model(problem: _Problem, best: Candidate) -> LPVModel:
         basis=basis,
         terms=terms,
         A=A,
-        B=B,
+        B=B + K @ D0,  # x_i+ = x_(i+1) + a_i y + b_i u with y = x_1 + D u
         C=C,
-        D=np.zeros((len(terms), len(names.outputs), len(names.inputs))),
+        D=D,
         operating_point=problem.point,
         predictor=Predictor(F, B, K, warmup=n),
         noise=noise,
@@ -530,7 +557,7 @@ def _with_unity(basis: Basis) -> tuple[Basis, np.ndarray]:
 
 def _realise(theta: np.ndarray, n: int, unity: np.ndarray):
     """A, B, C and the shift F by term, and the terms: one per (function, delay) that is used."""
-    f, g = _parts(theta, n)
+    f, g = _parts(theta, n).f, _parts(theta, n).g
     ny, nu = f.shape[1], g.shape[2]
     used: dict[tuple[int, int], int] = {}
     for j in np.flatnonzero(unity):
@@ -604,8 +631,8 @@ def _labels(problem: _Problem, n: int) -> list[tuple[str, str]]:
     names = problem.names
     functions = ["" if name == "1" else f" {name}" for name in problem.basis.names]
     signals = [(c, i) for i in range(1, n + 1) for c in names.outputs]
-    signals += [(c, i) for i in range(1, n + 1) for c in names.inputs]
-    return [(f"{c.name}(k-{i}){function}", c.unit) for c, i in signals for function in functions]
+    signals += [(c, i) for i in (*range(1, n + 1), 0) for c in names.inputs]
+    return [(f"{c.name}(k{f'-{i}' * (i > 0)}){function}", c.unit) for c, i in signals for function in functions]
 
 
 def _standard_deviation(Psi: np.ndarray, y: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
