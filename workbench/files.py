@@ -27,9 +27,7 @@ def write_text(path: str | Path, text: str) -> Path:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as reason:
-        raise InputError(
-            f"cannot write: {reason.strerror}", file=path, mend="free some space or choose --out"
-        ) from None
+        raise InputError(f"cannot write: {reason.strerror}", file=path, mend="free some space or choose --out") from None
     finally:
         Path(temporary).unlink(missing_ok=True)
     return path

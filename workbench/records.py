@@ -20,9 +20,7 @@ class RecordError(ValueError):
     """A field of a record has the wrong shape, unit range or content."""
 
 
-def field(
-    shape: str | None = None, *, unit: str = "", low: float = -math.inf, high: float = math.inf, **options
-) -> Any:
+def field(shape: str | None = None, *, unit: str = "", low: float = -math.inf, high: float = math.inf, **options) -> Any:
     """Declare a field: `shape` is sizes or names ("N 2"), "" a scalar, None anything; bounds are inclusive."""
     return dataclasses.field(metadata={"shape": shape, "unit": unit, "low": low, "high": high}, **options)
 

@@ -134,7 +134,10 @@ def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: n
     for scenario in scenarios:
         _check_scenario(plant, controller, scenario, N)
     p, eta = np.broadcast_to(p, (R, p.shape[1])), np.broadcast_to(eta, (R, eta.shape[1]))
-    starts = [plant.equilibrium(row, **scenarios[i % len(scenarios)].start) for i, row in enumerate(p)]
+    start, hold = np.empty((R, len(plant.states))), np.empty((R, len(plant.inputs)))
+    for values in {tuple(sorted(scenario.start.items())) for scenario in scenarios}:
+        own = [i for i in range(R) if tuple(sorted(scenarios[i % len(scenarios)].start.items())) == values]
+        start[own], hold[own] = plant.equilibria(p[own], **dict(values))
     signals = [_signals(plant, controller, scenario) for scenario in scenarios]
     reference, disturbance, noise = (np.broadcast_to(np.stack(s), (R, *s[0].shape)) for s in zip(*signals, strict=True))
     return stepper.Lanes(
@@ -142,8 +145,8 @@ def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: n
         effects=eta,
         gains=np.broadcast_to(controller.gains, (R, len(controller.gains))),
         memory=np.broadcast_to(controller.init(), (R, len(controller.init()))),
-        start=np.array([x for x, _ in starts]),
-        hold=np.array([u for _, u in starts]),
+        start=start,
+        hold=hold,
         reference=reference,
         disturbance=disturbance,
         noise=noise,

@@ -75,6 +75,13 @@ def test_equilibrium_stands_still(plant):
         assert abs(rates[name]) < 1e-9 * scale
 
 
+def test_many_equilibria_at_once_are_those_of_each(plant):
+    p = np.array([parameters for _, _, parameters, *_ in points(plant, 5)])
+    x, u = plant.equilibria(p)
+    for i in range(5):
+        np.testing.assert_allclose(np.concatenate(plant.equilibrium(p[i])), np.concatenate([x[i], u[i]]), rtol=1e-12)
+
+
 def test_linearisation_is_the_derivative_of_the_equation(plant):
     x0, u0 = plant.equilibrium()
     A, B, C, D = plant.linearize(x0, u0)

@@ -118,3 +118,13 @@ def test_reel_two_is_full_after_the_protocol_of_the_paper():
     """90 s at 1 m/s wind what the full reel held: from empty to full, [1] section 1.4.2."""
     wound = np.pi * (P["r_full"] ** 2 - P["r_core"] ** 2) / P["s"]
     assert wound == pytest.approx(90.0, rel=0.05)
+
+
+def test_a_given_start_value_replaces_the_equilibrium_one():
+    x, u = PLANT.equilibrium()
+    beside, held = PLANT.equilibrium(w1=5.0)
+    assert beside[0] == 5.0
+    assert np.array_equal(beside[1:], x[1:])
+    assert np.array_equal(held, u)
+    slower, _ = PLANT.equilibrium(w3=50.0)  # a set value moves the equilibrium itself
+    assert slower[0] == pytest.approx(x[0] / 2, rel=1e-2)

@@ -289,7 +289,13 @@ def _interpolation(weighted: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _bounded(X: np.ndarray, target: np.ndarray) -> np.ndarray:
     from scipy.optimize import lsq_linear
 
-    return np.clip(lsq_linear(X, target, bounds=(0.0, 1.0), method="bvls").x, 0.0, 1.0)
+    # scipy's bounded-variable method divides 0 by 0 when a free variable stands on its bound already; the slower
+    # trust-region method does not
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alpha = lsq_linear(X, target, bounds=(0.0, 1.0), method="bvls").x
+    if not np.all(np.isfinite(alpha)):
+        alpha = lsq_linear(X, target, bounds=(0.0, 1.0), method="trf", tol=1e-12).x
+    return np.clip(alpha, 0.0, 1.0)
 
 
 def _choose(blends: Sequence[_Blend]) -> _Blend:

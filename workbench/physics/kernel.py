@@ -143,10 +143,12 @@ LANES = {lanes}
 
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1)",
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1, b1)",
     cache=True, nogil=True, error_model="numpy",
 )
-def run(W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, remembering):
+def run(
+    W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, affected, remembering
+):
     """Advance LANES runs through len(reference) samples; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
 {once}
@@ -188,8 +190,12 @@ def run(W, reference, disturbance, noise, step, back, acting, states, measured, 
             for q in range(4):
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
-                for l in range(LANES):
-{derivative}
+                if affected:
+                    for l in range(LANES):
+{affected}
+                else:
+                    for l in range(LANES):
+{nominal}
                 for i in range({nx}):
                     for l in range(LANES):
                         rise = W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
@@ -212,7 +218,7 @@ def run(W, reference, disturbance, noise, step, back, acting, states, measured, 
 
 def kernel_source(title: str, lanes: int, rows: Rows, codes: Mapping[str, Code], sizes: Mapping[str, int]) -> str:
     """The text of a kernel module."""
-    indent = {"once": 8, "control": 16, "drive": 12, "derivative": 20, "remember": 20}
+    indent = {"once": 8, "control": 16, "drive": 12, "affected": 24, "nominal": 24, "remember": 20}
     once = [line for code in codes.values() for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}

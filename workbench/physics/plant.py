@@ -269,37 +269,57 @@ class Plant:
         """Continuous-time A, B, C, D of the plant frozen at (x, u)."""
         p = self.nominal if p is None else p
         eta = self.effect_vector() if eta is None else eta
-        A, B, C = (np.array(J) for J in self.jacobians(x, u, p, eta, np.zeros(len(self.turning)), 0.0))
+        A, B, C = (J[0] for J in self.jacobians_of(*(np.asarray(v, dtype=float)[None] for v in (x, u, p, eta))))
         return A, B, C, np.zeros((C.shape[0], B.shape[1]))
 
-    def equilibrium(self, p=None, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
-        """State x0 and input u0 at which the states in `start.zero` stand still; `fixed` overrides single values.
+    def jacobians_of(self, x: np.ndarray, u: np.ndarray, p: np.ndarray, eta: np.ndarray) -> list[np.ndarray]:
+        """A (R, nx, nx), B (R, nx, nu), C (R, ny, nx) at R points; arguments (R, ...)."""
+        return [J.transpose(0, 2, 1) for J in self._evaluated(self.jacobians, x, u, p, eta)]
 
-        Newton's method on the traced equation, effects neutral. Raises InputError where it does not converge.
+    def _evaluated(self, function: ca.Function, x, u, p, eta) -> list[np.ndarray]:
+        """Results of a function of the symbols at R points, each (R, columns, rows): one call for all of them."""
+        R = len(x)
+        angle, t = np.zeros((len(self.turning), R)), np.zeros((1, R))
+        results = function.map(R)(x.T, u.T, p.T, eta.T, angle, t)
+        return [np.array(J).T.reshape(R, -1, J.shape[0]) for J in results]
+
+    def equilibrium(self, p=None, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
+        """State x0 and input u0 at which the states in `start.zero` stand still; `fixed` replaces single values."""
+        x, u = self.equilibria((self.nominal if p is None else np.asarray(p, dtype=float))[None], **fixed)
+        return x[0], u[0]
+
+    def equilibria(self, p: np.ndarray, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
+        """Equilibria x0 (R, nx), u0 (R, nu) for R parameter vectors p (R, np), effects neutral.
+
+        Newton's method on the traced equation. A fixed value among those to be solved for replaces the solution: the plant
+        then starts beside its equilibrium. Raises InputError where the method does not converge.
         """
-        p = self.nominal if p is None else np.asarray(p, dtype=float)
         names = (*self.state_names, *self.input_names)
-        by_name = {q.name: value for q, value in zip(self.parameters, p, strict=True)}
-        values = dict.fromkeys(names, 0.0) | dict(self.start.guess)
-        for name, value in (dict(self.start.fixed) | fixed).items():
+        z = np.zeros((len(p), len(names)))
+        for name, value in (dict(self.start.guess) | dict(self.start.fixed) | fixed).items():
             check_known("state or input", name, names, file=self.name)
-            values[name] = by_name[value] if isinstance(value, str) else value
-        z = np.array([values[name] for name in names])
+            own = [q.name for q in self.parameters]
+            column = (
+                p[:, own.index(check_known("parameter", value, own, file=self.name))] if isinstance(value, str) else value
+            )
+            z[:, names.index(name)] = column
         unknown = [names.index(name) for name in self.start.solve_for]
         zero = [self.state_names.index(name) for name in self.start.zero]
-        nx = len(self.states)
-        eta, angle = self.effect_vector(), np.zeros(len(self.turning))
+        nx, eta = len(self.states), np.repeat(self.effect_vector()[None], len(p), axis=0)
         for _ in range(50 if unknown else 0):
-            residual = np.array(self.traced(z[:nx], z[nx:], p, eta, angle, 0.0)[0]).ravel()[zero]
-            A, B, _C = (np.array(J) for J in self.jacobians(z[:nx], z[nx:], p, eta, angle, 0.0))
-            step = np.linalg.solve(np.hstack([A, B])[np.ix_(zero, unknown)], residual)
-            z[unknown] -= step
-            if np.max(np.abs(step) / (1.0 + np.abs(z[unknown]))) < 1e-13:
+            residual = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
+            A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)
+            J = np.concatenate([A, B], axis=2)[:, zero][:, :, unknown]
+            step = np.linalg.solve(J, residual[:, :, None])[:, :, 0]
+            z[:, unknown] -= step
+            if np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown]))) < 1e-13:
                 break
         else:
             if unknown:
                 raise InputError("no equilibrium found for these parameters", file=self.name, mend="give a better guess")
-        return z[:nx], z[nx:]
+        for name in set(fixed) & set(self.start.solve_for):
+            z[:, names.index(name)] = fixed[name]
+        return z[:, :nx], z[:, nx:]
 
 
 @contextmanager

@@ -5,6 +5,7 @@ more point for each input, placed where its hold changes, so that every delay is
 0. Effects are numbers in the work array: switching one on compiles nothing.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from types import ModuleType
@@ -65,7 +66,8 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     wiring = {
         "control": (["c", "r", "y", "g", "u"], ["u", "c"]),
         "drive": (["u", "eta", "t"], ["v"]),
-        "derivative": (["stage", "w", "p", "eta", "stage.angle", "t"], ["slope"]),
+        "affected": (["stage", "w", "p", "eta", "stage.angle", "t"], ["slope"]),
+        "nominal": (["stage", "w", "p", "stage.angle", "t"], ["slope"]),
         "remember": (["mem", "before", "x", "h", "p", "eta"], ["mem", "after"]),
     }
     codes: dict[str, Code] = {
@@ -78,17 +80,20 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
 
 
 def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
-    """The four traced functions of a step."""
+    """The traced functions of a step. `nominal` is `affected` with neutral effects, which vanish from it: it runs faster."""
     s, nx = plant.symbols, len(plant.states)
     x, u, p, eta = (_split(s[name]) for name in ("x", "u", "p", "eta"))
-    dx, _ = plant.traced(*s.values())
     rates = [x[plant.state_names.index(speed)] for speed in plant.turning.values()]
-    slope = ca.vertcat(dx, *rates)
     mem, before = ca.SX.sym("mem", len(plant.memories)), ca.SX.sym("before", len(plant.outputs))
     full, h = ca.SX.sym("full", nx), ca.SX.sym("h")
     c, r = ca.SX.sym("c", len(controller.init())), ca.SX.sym("r", len(controller.references))
     y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
     with symbolic_numpy():
+        angle = _split(s["angle"])
+        slope = {
+            name: _join([*plant.derivative(x, u, p, sizes, t=s["t"], angle=angle), *rates])
+            for name, sizes in (("affected", eta), ("nominal", plant.effect_vector()))
+        }
         after = plant.output(_split(full), p)
         memory = plant.remember(_split(mem), _split(before), after, h, eta)
         acting = plant.drive(u, eta, s["t"])
@@ -99,7 +104,8 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     return {
         "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), _join(state)]),
         "drive": ca.Function("drive", [s["u"], s["eta"], s["t"]], [_join(acting)]),
-        "derivative": ca.Function("derivative", list(s.values()), [slope]),
+        "affected": ca.Function("affected", list(s.values()), [slope["affected"]]),
+        "nominal": ca.Function("nominal", [s[name] for name in ("x", "u", "p", "angle", "t")], [slope["nominal"]]),
         "remember": ca.Function("remember", [mem, before, full, h, s["p"], s["eta"]], [_join(memory), _join(after)]),
     }
 
@@ -172,13 +178,19 @@ def _block(plant: Plant, kernel: ModuleType, rows: Rows, lanes: Lanes, pick: np.
     reference, disturbance, noise = (
         np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
     )
-    sensing = [i for i, slot in enumerate(plant.slots) if slot.effect.family == "sensor" and not slot.parameter.shape]
-    remembering = bool(np.any(lanes.effects[pick][:, sensing] != 0.0))
+    remembering = _any_on(plant, lanes.effects[pick], lambda family: family == "sensor")
+    affected = _any_on(plant, lanes.effects[pick], lambda family: family not in ("sensor", "actuator"))
     kernel.run(
         W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
-        remembering,
+        affected, remembering,
     )  # fmt: skip
     return states, measured, commands
+
+
+def _any_on(plant: Plant, effects: np.ndarray, wanted: Callable[[str], bool]) -> bool:
+    """Whether any size of an effect of the wanted families differs from 0 in any lane."""
+    sizes = [i for i, slot in enumerate(plant.slots) if wanted(slot.effect.family) and not slot.parameter.shape]
+    return bool(np.any(effects[:, sizes] != 0.0))
 
 
 def _grid(plant: Plant, effects: np.ndarray, substeps: int) -> tuple[np.ndarray, np.ndarray, int]:
@@ -210,11 +222,9 @@ def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, star
     """
     rest = start.copy()
     rest[:, [plant.state_names.index(speed) for speed in plant.turning.values()]] = 0.0
-    angle = np.zeros(len(plant.turning))
     fastest = 0.0
     for x in (start, rest):
-        each = zip(x, hold, parameters, effects, strict=True)
-        A = np.array([np.array(plant.jacobians(*arguments, angle, 0.0)[0]) for arguments in each])
+        A = plant.jacobians_of(x, hold, parameters, effects)[0]
         fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
     needed = int(np.ceil(plant.dt * fastest))
     if needed > 2000:

@@ -203,3 +203,12 @@ def test_bad_input_names_the_mend(records):
         ILM(models=15).fit(Dataset((plant(1, N=400),)))
     # numbers that cannot be had are left out of the sweep, and named
     assert any("could not be had" in note for note in ILM(resamples=0).fit(Dataset((plant(1, N=700),))).notes)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bounded_problem_is_solved_on_its_corners_too(seed):
+    """Weights that stand on their bounds: there scipy's solver divides 0 by 0, and the answer is exact all the same."""
+    random = np.random.default_rng(seed)
+    X = random.normal(size=(6, 5)).round(1)
+    truth = random.choice([0.0, 1.0, 0.5], size=5)
+    np.testing.assert_allclose(ilm._bounded(X, X @ truth), truth, atol=1e-8)

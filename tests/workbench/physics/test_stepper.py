@@ -114,6 +114,20 @@ def test_every_effect_is_exactly_neutral_at_zero(slot):
         assert np.array_equal(zero.experiment.values, nominal.experiment.values)
 
 
+def test_a_neutral_run_beside_affected_ones_is_the_neutral_run():
+    """Nominal runs leave out the effects' code, a block with an affected run does not: same numbers to the last bit."""
+    eta = np.repeat(WEB_WINDING.effect_vector()[None], 3, axis=0)
+    eta[1] = WEB_WINDING.effect_vector({
+        "coulomb@unwind": {"level": 1e-3}, "eccentricity@rewind": {"cosine": 1e-4}, "slip@pulley": {"creep": 0.05},
+        "sensor-lag@theta": {"time": 0.02}, "backlash@w3": {"half_width": 0.1}, "saturation@V2": {"limit": 2.2},
+    })  # fmt: skip
+    batch = simulate_batch(WEB_WINDING, LOOPS, steps(60, seed=2), effects=eta, substeps=10)
+    alone = simulate(WEB_WINDING, LOOPS, steps(60, seed=2), substeps=10)
+    assert np.array_equal(batch.states[0], alone.states.values)
+    assert np.array_equal(batch.measured[2], alone.experiment[list(WEB_WINDING.output_names)])
+    assert not np.array_equal(batch.states[1], batch.states[0])
+
+
 def robot_run(u, **effects):
     scenario = Scenario("u", {"u": u})
     sizes = {key.replace("_at_", "@").replace("_", "-"): value for key, value in effects.items()}
