@@ -17,7 +17,8 @@ def acts_at_once(dataset: Dataset, order: int = 4) -> bool:
     that logs its set-points is a controlled loop with held inputs, and there the answer is no. Where feedback is found
     without them, the free run must gain 10 points of FIT (mean over outputs), in open loop 2.
     """
-    if any(e.names_of("reference") for e in dataset):
+    first = dataset.experiments[0]
+    if any(e.names_of("reference") for e in dataset) or not (first.names_of("input") and first.names_of("output")):
         return False
     gain = _free_run_fit(dataset, order, first=0) - _free_run_fit(dataset, order, first=1)
     if gain < GAIN_OPEN:
