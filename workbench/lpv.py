@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "gain-scheduling-workbench/lpv-model"
 VERSION = 1
+CHUNK = 4096  # samples whose scheduled matrices are held at once
 
 
 @record
@@ -246,19 +247,22 @@ class LPVModel:
         steps - 1 rows after it look ahead less far, and the rows within it are one-step predictions of a cold predictor.
         """
         u, y, weight = self._deviations(experiment)
-        x = self._predictor_states(u, y, weight)[:-1]
-        blocks = [block for _, *block in self._slices(weight, self.A, self.B, self.C, self.D)]
-        A, B, C, D = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-
-        def look(first: int) -> np.ndarray:
-            return np.einsum("kyx,kx->ky", C[first:], x) + np.einsum("kyu,ku->ky", D[first:], u[first:])
-
-        out, first = look(0), self.predictor.warmup if self.predictor else 0
-        x = x[first:]
-        for _ in range(steps - 1):
-            x = np.einsum("kzx,kx->kz", A[first:-1], x[:-1]) + np.einsum("kzu,ku->kz", B[first:-1], u[first:-1])
-            first += 1
-            out[first:] = look(first)
+        states = self._predictor_states(u, y, weight)[:-1]
+        N, first = len(u), self.predictor.warmup if self.predictor else 0
+        out = np.empty((N, len(self.outputs)))
+        for begin in range(0, N, CHUNK):
+            x = states[begin : begin + CHUNK]
+            stop = min(begin + len(x) + steps - 1, N)
+            A, B, C, D = (np.tensordot(weight[begin:stop], M, 1) for M in (self.A, self.B, self.C, self.D))
+            for ahead in range(steps):
+                x = x[: stop - begin - ahead]
+                start = begin + np.arange(len(x))  # row i holds the state at start[i] + ahead, predicted from start[i]
+                at = np.arange(len(x)) + ahead
+                # a start before the warm-up's end looks one step ahead, the one at its end fills up to the full horizon
+                wanted = (start == first) | ((start > first) & (ahead == steps - 1)) | ((start < first) & (ahead == 0))
+                k = at[wanted]
+                out[begin + k] = np.einsum("kyx,kx->ky", C[k], x[wanted]) + np.einsum("kyu,ku->ky", D[k], u[begin + k])
+                x = np.einsum("kzx,kx->kz", A[at], x) + np.einsum("kzu,ku->kz", B[at], u[begin + at])
         return out + self._output_offset(experiment)
 
     def _deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -277,10 +281,10 @@ class LPVModel:
     def _output_offset(self, experiment: Experiment) -> np.ndarray:
         return self.operating_point.basis(self.schedule_of(experiment)) @ self.operating_point.y
 
-    def _slices(self, weight: np.ndarray, *matrices: np.ndarray, chunk: int = 4096):
+    def _slices(self, weight: np.ndarray, *matrices: np.ndarray):
         """Scheduled matrices M(k) for chunks of samples, so that long records do not fill the memory."""
-        for k0 in range(0, len(weight), chunk):
-            w = weight[k0 : k0 + chunk]
+        for k0 in range(0, len(weight), CHUNK):
+            w = weight[k0 : k0 + CHUNK]
             yield k0, *(np.tensordot(w, M, 1) for M in matrices)
 
     def _predictor_states(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:

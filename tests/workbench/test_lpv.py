@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from workbench.data import Channel, Experiment
+from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.lpv import (
     CONSTANT,
@@ -248,3 +248,22 @@ def test_another_sample_time_and_unknown_channels_are_refused():
         dataclasses.replace(model, schedule=Channel("p2")).simulate(e)
     with pytest.raises(InputError, match="terms"):
         dataclasses.replace(model, terms=(Term(0),))
+
+
+@pytest.mark.parametrize("steps", [1, 4, 30])
+def test_predictions_do_not_depend_on_how_a_record_is_cut_into_chunks(monkeypatch, steps):
+    """Long records go through in pieces: every row is the same as in one piece."""
+    from workbench import lpv
+    from workbench.identify.ssm import SSM
+
+    random = np.random.default_rng(3)
+    N = 150
+    u, p, y = random.normal(size=N), 1 + 0.5 * np.sin(np.arange(N)), np.zeros(N)
+    for k in range(1, N):
+        y[k] = 0.9 * y[k - 1] + p[k - 1] * u[k - 1]
+    e = Experiment.from_arrays("e", 0.1, inputs={"u": u}, outputs={"y": y + 0.01 * random.normal(size=N)}, schedule={"p": p})
+    model = SSM(order=2).fit(Dataset((e,)))
+    whole, run = model.predict(e, steps), model.simulate(e)
+    monkeypatch.setattr(lpv, "CHUNK", 7)
+    np.testing.assert_allclose(model.predict(e, steps), whole, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(model.simulate(e), run, rtol=1e-12, atol=1e-12)
