@@ -3,6 +3,7 @@
 import sys
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,6 @@ def progress(text: str) -> None:
 
 def simulate(options: Namespace) -> int:
     """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and says where."""
-    from dataclasses import replace
-
     from studies.experiments import EXPERIMENTS, plan
     from workbench.simulate import replay
     from workbench.simulate import simulate as run_plant
@@ -137,7 +136,7 @@ def identify(options: Namespace) -> int:
     if not options.validate:
         say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
     configuration = {"model": options.model, "order": options.order} | roles
-    _write_scores(options, folder, "identify", results, configuration, [*options.records, *options.validate])
+    _write(options, folder, results, configuration, held_out or dataset, [*options.records, *options.validate])
     return 0
 
 
@@ -162,6 +161,8 @@ def compare(options: Namespace) -> int:
     from workbench.residuals import residual_test
 
     models = [load_model(path) for path in options.models]
+    if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
+        models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
     results = []
     for path, model in zip(options.models, models, strict=True):
         roles = {
@@ -170,14 +171,15 @@ def compare(options: Namespace) -> int:
             "schedule": [model.schedule.name] if model.schedule else [],
         }
         dataset = read_all(options.records, **roles)
+        known = (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))
         for experiment in dataset:
-            check_units(experiment, {c.name: c.unit for c in (*model.inputs, *model.outputs)})
+            check_units(experiment, {c.name: c.unit for c in known})
         results.append((model, path, _scores(model, None, dataset, options.horizon)))
         for experiment in dataset:
             say(str(residual_test(model, experiment)))
     _say_scores(results)
     folder = run_folder(options.out, "compare")
-    _write_scores(options, folder, "compare", results, {"models": options.models}, options.records)
+    _write(options, folder, results, {"models": options.models}, read_all(options.records), options.records)
     return 0
 
 
@@ -225,10 +227,12 @@ def _scores(model, estimation: Dataset | None, held_out: Dataset | None, steps: 
 
 
 def _say_scores(results) -> None:
-    """Held-out free runs first: they are the headline."""
+    """Held-out free runs first, the headline; of the estimation records the free run alone, the rest is in the files."""
     say(f"{'model':8} {'order':>5}  {'record':16} {'split':10} {'output':8} {'horizon':9} {'FIT':>7} {'RM':>7} {'RMSE':>10}")
+    rank = {"free-run": 0, "one-step": 1}
     scores = [(model, s) for model, _, scores in results for s in scores]
-    scores.sort(key=lambda pair: (pair[1].split != "held-out", pair[1].horizon != "free-run", str(pair[1].horizon)))
+    scores = [(model, s) for model, s in scores if s.split == "held-out" or s.horizon == "free-run"]
+    scores.sort(key=lambda pair: (pair[1].split != "held-out", rank.get(pair[1].horizon, 2), pair[1].output))
     for model, s in scores:
         horizon = f"{s.horizon}-step" if isinstance(s.horizon, int) else s.horizon
         say(
@@ -237,14 +241,23 @@ def _say_scores(results) -> None:
         )
 
 
-def _write_scores(options: Namespace, folder: Path, command: str, results, configuration, files) -> None:
+def _write(options: Namespace, folder: Path, results, configuration, shown: Dataset, files) -> None:
+    """Scores as JSON and the comparison as a page, with the records of `shown` in its pictures."""
+    from studies.comparison import comparison
     from workbench.metrics import to_json
+    from workbench.report.page import write_report
 
-    content = to_json(results, provenance(configuration, files))
-    path = write_json(folder / "scores.json", content)
+    source = provenance(configuration, files)
+    content = to_json(results, source)
+    write_json(folder / "scores.json", content)
     if options.json:
         write_json(options.json, content)
-    say(f"{command}: {path}")
+    models = [model for model, _, _ in results]
+    scores = [s for _, _, scores in results for s in scores]
+    notes = [f"{model.name}: {note}" for model in models for note in model.notes]
+    title = f"{options.command}: {', '.join(model.name for model in models)}"
+    page = write_report(comparison(title, models, scores, tuple(shown), notes, source), folder)
+    say(f"report: {page}")
 
 
 # ---- doctor and study -----------------------------------------------------------------------------------------------------

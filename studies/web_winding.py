@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from plants import WEB_WINDING
+from studies.comparison import residual_table, traces
 from studies.experiments import plan
 from workbench.advice import advice
 from workbench.data import Channel, Dataset, Experiment
@@ -31,7 +32,6 @@ from workbench.readers import check_units, read_all, write_csv
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.page import Block, Provenance, Report, Section, Table, Text, write_report
-from workbench.residuals import residual_test
 from workbench.simulate import simulate
 
 Say = Callable[[str], None]
@@ -250,9 +250,9 @@ def _report(
     shown = [e for e in records.all if e.name in ("prbs2", "rbs", "sine", "rgs")] or list(records.held_out)
     sections = [
         Section("Scores", tuple(_score_blocks(records, scores, models))),
-        Section("Measured and simulated", tuple(_traces(e, identified) for e in shown)),
+        Section("Measured and simulated", tuple(traces(e, identified.models, OUTPUT) for e in shown)),
         Section("What the models rest on", tuple(_evidence(records, identified, simulated))),
-        Section("Residuals", (_residual_table(records, identified),)),
+        Section("Residuals", (residual_table(identified.models, records.held_out, closed_loop=True),)),
         Section("Data", (_data_table(records), *_advice_blocks(records))),
         Section("Provenance", (Provenance(source),)),
     ]
@@ -296,21 +296,6 @@ def _score_blocks(records: Records, scores: tuple[Score, ...], models: list[str]
 
 def _horizon(horizon) -> str:
     return f"{horizon}-step" if isinstance(horizon, int) else horizon
-
-
-def _traces(e: Experiment, identified: Identified) -> Block:
-    simulated = {}
-    for name, model in identified.models.items():
-        run = model.simulate(e)[:, 0]
-        run[: model.predictor.warmup if model.predictor else 0] = np.nan  # the initial state is found there
-        simulated[name] = run
-    return figures.measured_and_simulated(
-        e.name,
-        e.t,
-        figures.Trace(e.channel(OUTPUT), e[OUTPUT]),
-        simulated,
-        figures.Trace(e.channel(SCHEDULE), e[SCHEDULE]),
-    )
 
 
 def _evidence(records: Records, identified: Identified, simulated: bool) -> list[Block]:
@@ -452,24 +437,6 @@ def _frozen(identified: Identified) -> Block:
 
 
 # ---- the rest of the page -----------------------------------------------------------------------------------------------
-
-
-def _residual_table(records: Records, identified: Identified) -> Block:
-    rows = []
-    header: tuple[str, ...] = ()
-    for name, model in identified.models.items():
-        for e in records.held_out:
-            checks = residual_test(model, e, closed_loop=True).checks
-            rows.append((f"{name}, {e.name}", *(c.p_family for c in checks)))
-            header = tuple("whiteness p" if c.kind == "whiteness" else f"{c.input} p" for c in checks)
-    return Table(
-        "Residual tests on held-out records",
-        ("model, record", *header),
-        tuple(rows),
-        caption="Family-wise p-values of the one-step error: below 0.05 it still holds something that the model leaves out. "
-        "The loop was closed, so only inputs before the error are correlated with it.",
-        digits=2,
-    )
 
 
 def _data_table(records: Records) -> Block:

@@ -1,0 +1,99 @@
+"""Models beside each other on the same records: scores, traces and residual tests as blocks of a report."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from workbench.data import Experiment
+from workbench.lpv import LPVModel
+from workbench.metrics import Score
+from workbench.report import figures
+from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text
+from workbench.residuals import residual_test
+
+
+def traces(e: Experiment, models: Mapping[str, LPVModel], output: str) -> Picture:
+    """One output of a record, measured and simulated by each model (free run), with the error and the schedule."""
+    simulated, schedule = {}, None
+    for name, model in models.items():
+        run = model.simulate(e)[:, [c.name for c in model.outputs].index(output)]
+        run[: model.predictor.warmup if model.predictor else 0] = np.nan  # the initial state is found there
+        simulated[name] = run
+        if model.schedule:
+            schedule = figures.Trace(e.channel(model.schedule.name), e[model.schedule.name])
+    return figures.measured_and_simulated(e.name, e.t, figures.Trace(e.channel(output), e[output]), simulated, schedule)
+
+
+def residual_table(
+    models: Mapping[str, LPVModel], records: Iterable[Experiment], *, closed_loop: bool | None = None
+) -> Table:
+    """Family-wise p-values of the whiteness of one-step errors and of their correlation with the inputs."""
+    rows: list[tuple] = []
+    columns: dict[str, None] = {}
+    for name, model in models.items():
+        for e in records:
+            checks = residual_test(model, e, closed_loop=closed_loop).checks
+            p = {f"{c.output}{f', {c.input}' if c.kind == 'input' else ', white'}": c.p_family for c in checks}
+            columns |= dict.fromkeys(p)
+            rows.append((f"{name}, {e.name}", p))
+    return Table(
+        "Residual tests",
+        ("model, record", *(f"p: {column}" for column in columns)),
+        tuple((label, *(p.get(column, np.nan) for column in columns)) for label, p in rows),
+        caption="Family-wise p-values of the one-step error: below 0.05 it still holds something that the model leaves out. "
+        "In closed loop only inputs before the error are correlated with it.",
+        digits=2,
+    )
+
+
+def score_table(scores: Sequence[Score]) -> Table:
+    """Every score, a row each."""
+    return Table(
+        "All scores",
+        ("model", "record", "split", "output", "horizon", "FIT [%]", "RM [%]", "RMSE", "unit"),
+        tuple((s.model, s.record, s.split, s.output, str(s.horizon), s.FIT, s.RM, s.RMSE, s.unit) for s in scores),
+        digits=3,
+    )
+
+
+def comparison(
+    title: str,
+    models: Sequence[LPVModel],
+    scores: Sequence[Score],
+    records: Sequence[Experiment],
+    notes: Sequence[str],
+    source: Mapping[str, Any],
+) -> Report:
+    """A page: which model runs free best on held-out records, then scores, traces on `records`, residuals and notes."""
+    named = {model.name: model for model in models}
+    outputs = list(dict.fromkeys(s.output for s in scores))
+    dots: tuple[Block, ...] = tuple(figures.score_dots(scores, output) for output in outputs)
+    shown: tuple[Block, ...] = tuple(traces(e, named, output) for e in records for output in outputs)
+    sections = [
+        Section("Scores", dots),
+        Section("Measured and simulated", shown),
+        Section("Residuals", (residual_table(named, records),)),
+    ]
+    if notes:
+        sections.append(Section("Notes", (Text("\n\n".join(notes)),)))
+    sections.append(Section("Numbers", (score_table(scores),)))
+    return Report(title, verdict(scores), (*sections, Section("Provenance", (Provenance(source),))))
+
+
+def verdict(scores: Sequence[Score]) -> str:
+    """The headline: free-run FIT by model on held-out records, or that there are none."""
+    free = [s for s in scores if s.horizon == "free-run"]
+    held_out = [s for s in free if s.split == "held-out"]
+    counted = held_out or free
+    said = []
+    for model in dict.fromkeys(s.model for s in counted):
+        own = [s for s in counted if s.model == model]
+        by_output = [
+            f"{output} {min(fits):.1f}" + (f" to {max(fits):.1f} %" if len(fits) > 1 else " %")
+            for output in dict.fromkeys(s.output for s in own)
+            if (fits := [s.FIT for s in own if s.output == output])
+        ]
+        said.append(f"{model}: {', '.join(by_output)}")
+    where = "held-out records" if held_out else "the records the models were made from (no held-out record was given)"
+    return f"Free-run FIT on {where}. {'; '.join(said)}."
