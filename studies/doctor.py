@@ -31,7 +31,9 @@ def _versions() -> tuple[Finding, ...]:
 
 
 def _cores() -> Finding:
-    return Finding("cores", str(len(os.sched_getaffinity(0))))
+    from workbench.physics.stepper import cores
+
+    return Finding("cores", str(cores()))
 
 
 def _threads() -> Finding:

@@ -5,7 +5,6 @@ white disturbance. Both come from the scenario's seed and from nothing else: the
 single run and anywhere in a batch.
 """
 
-import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -106,8 +105,7 @@ def simulate_batch(
         if size not in (1, R):
             raise InputError(f"{size} {kind} for {R} runs", file=plant.name, mend=f"give 1 or {R}")
     lanes = _lanes(plant, controller, each, p, eta)
-    cores = len(os.sched_getaffinity(0)) if threads is None else threads
-    return stepper.run(plant, controller, lanes, substeps or _substeps(plant, lanes), cores)
+    return stepper.run(plant, controller, lanes, substeps or _substeps(plant, lanes), threads or stepper.cores())
 
 
 def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] | None = None, **options) -> Run:

@@ -12,6 +12,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -225,8 +226,12 @@ def kernel_source(title: str, lanes: int, rows: Rows, codes: Mapping[str, Code],
     return _TEMPLATE.format(title=title, lanes=lanes, **text, **rows.first, **sizes)
 
 
+@cache
 def cache_folder() -> Path:
-    """Folder of the compiled kernels: $WORKBENCH_CACHE, or the user's cache folder, or a temporary one."""
+    """Folder of the compiled kernels: under $WORKBENCH_CACHE or the user's cache folder.
+
+    Where neither can be written, a new private folder that only this process knows: what lies in a shared one is run.
+    """
     root = os.environ.get("WORKBENCH_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(root) / "gain-scheduling-workbench" / "kernels"
     try:
@@ -235,9 +240,7 @@ def cache_folder() -> Path:
             return folder
     except OSError:
         pass
-    folder = Path(tempfile.gettempdir()) / f"gain-scheduling-workbench-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    return folder
+    return Path(tempfile.mkdtemp(prefix="gain-scheduling-workbench-"))
 
 
 def load_kernel(source: str) -> ModuleType:
@@ -254,5 +257,9 @@ def load_kernel(source: str) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba looks it up by name when it loads the machine code
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module

@@ -5,6 +5,7 @@ more point for each input, placed where its hold changes, so that every delay is
 0. Effects are numbers in the work array: switching one on compiles nothing.
 """
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -116,6 +117,11 @@ def _split(symbol: ca.SX) -> list[ca.SX]:
 
 def _join(values: list) -> ca.SX:
     return ca.vertcat(*(ca.SX(value) for value in values)) if values else ca.SX(0, 1)
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run(plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threads: int = 1) -> Trajectories:
