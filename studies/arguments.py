@@ -57,7 +57,11 @@ def parse_effects(texts: Iterable[str]) -> dict[str, dict[str, float]]:
         key, _, numbers = text.partition(":")
         if "@" not in key or not numbers:
             raise InputError(f"effect {text!r}", mend="write id@place:parameter=value, e.g. coulomb@unwind:level=0.002")
-        sizes.setdefault(key.strip(), {}).update(parse_numbers(numbers.split(",")))
+        own = sizes.setdefault(key.strip(), {})
+        for name, value in parse_numbers(numbers.split(",")).items():
+            if name in own:
+                raise InputError(f"{key}:{name} is given twice", mend="give it once")
+            own[name] = value
     return sizes
 
 
@@ -65,17 +69,31 @@ def parse_numbers(texts: Iterable[str]) -> dict[str, float]:
     """{"kT": 0.021} from name=value."""
     values: dict[str, float] = {}
     for text in texts:
-        name, _, value = text.partition("=")
+        name, _, value = (part.strip() for part in text.partition("="))
+        if name in values:
+            raise InputError(f"{name} is given twice", mend="give it once")
         try:
-            values[name.strip()] = float(value)
+            values[name] = float(value)
         except ValueError:
-            raise InputError(f"{text!r} is not name=number", mend="write e.g. level=0.002") from None
+            raise InputError(f"{text!r} is not name=number", mend=f"write e.g. {name or 'name'}=0.002") from None
     return values
 
 
 def names(text: str | None) -> tuple[str, ...]:
     """("V1", "V2") from "V1,V2"."""
-    return tuple(name.strip() for name in text.split(",") if name.strip()) if text else ()
+    found = tuple(name.strip() for name in text.split(",") if name.strip()) if text else ()
+    for name in found:
+        if found.count(name) > 1:
+            raise InputError(f"{name} is named twice in {text!r}", mend="name each channel once")
+    return found
+
+
+def check_file(path: str | None, option: str) -> None:
+    """Refuse an output file that cannot be written, before any work is done."""
+    if path is not None and (Path(path).is_dir() or not Path(path).absolute().parent.is_dir()):
+        raise InputError(
+            "is a folder" if Path(path).is_dir() else "its folder does not exist", file=path, mend=f"give {option} FILE"
+        )
 
 
 def run_folder(out: str | None, command: str) -> Path:

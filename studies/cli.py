@@ -15,7 +15,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         known = sorted(_words(self))
         words = message.replace("'", " ").replace("=", " ").split()
-        unknown = [word for word in words if word.startswith("-") or "invalid choice" in message]
+        unknown = [word for word in words if "unrecognized" in message or "invalid choice" in message]
         near = [match for word in unknown if word not in known for match in get_close_matches(word, known, 1, 0.6)]
         mend = f"\n  mend: did you mean {near[0]}?" if near else ""
         sys.stderr.write(f"{self.prog}: {message}{mend}\n  see {self.prog} --help\n")
@@ -31,6 +31,20 @@ def _words(parser: argparse.ArgumentParser) -> set[str]:
             for name, sub in action.choices.items():
                 words.update({name}, _words(sub))
     return words
+
+
+def _positive(text: str) -> int:
+    return _whole(text, 1)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _whole(text: str, low: int) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) >= low):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} on")
+    return int(text)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -61,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("plant", metavar="PLANT", help="a machine of the workbench, package.module:NAME or file.py:NAME")
     sub.add_argument("--experiment", nargs="+", metavar="NAME", default=[], help="experiments of the machine's plan")
     sub.add_argument("--inputs-from", nargs="+", metavar="FILE", default=[], help="replay the inputs of measured records")
-    sub.add_argument("--seed", type=int, default=0, help="seed of noise, disturbances and random set-points (default 0)")
+    sub.add_argument("--seed", type=_seed, default=0, help="seed of noise, disturbances and random set-points (default 0)")
     sub.add_argument("--quiet", action="store_true", help="no noise and no disturbance")
     sub.add_argument("--effect", action="append", default=[], metavar="ID@PLACE:P=V", help="switch missing physics on")
     sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
@@ -82,9 +96,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="M",
         help="lti, ilm, ssm, several (lti,ssm), all, or best: chosen on the estimation records",
     )
-    sub.add_argument("--order", type=int, help="model order (default: chosen on the estimation records)")
+    sub.add_argument("--order", type=_positive, help="model order (default: chosen on the estimation records)")
     sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
-    sub.add_argument("--horizon", type=int, default=25, help="steps of the k-step prediction that is scored (default 25)")
+    sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
 
     sub = command(
         "compare",
@@ -93,14 +107,14 @@ def parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("models", nargs="+", metavar="MODEL", help="model files written by identify")
     sub.add_argument("--records", nargs="+", action="extend", required=True, metavar="RECORD", help="held-out records")
-    sub.add_argument("--horizon", type=int, default=25, help="steps of the k-step prediction that is scored (default 25)")
+    sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
 
     command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
 
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
     sub.add_argument("study", metavar="STUDY", help="web-winding")
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
-    sub.add_argument("--seed", type=int, default=1, help="seed of the simulated records (default 1)")
+    sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
     sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")
     return top
 
@@ -108,16 +122,18 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; 0 done, 1 the answer is negative, 2 bad input (with the place and the mend), 130 interrupted."""
     options = parser().parse_args(arguments)
-    from studies import commands
-    from workbench.errors import InputError
-
+    try:
+        from studies import commands
+        from workbench.errors import InputError
+    except KeyboardInterrupt:
+        return INTERRUPTED
     try:
         return commands.run(options)
     except InputError as reason:
         sys.stderr.write(f"workbench {options.command}: {reason}\n")
         return BAD_INPUT
     except KeyboardInterrupt:
-        sys.stderr.write(f"workbench {options.command}: interrupted; what was written is whole\n")
+        sys.stderr.write(f"workbench {options.command}: interrupted; what is written is whole, the rest is not there\n")
         return INTERRUPTED
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from studies.arguments import find_plant, names, parse_effects, parse_numbers, run_folder
-from workbench.data import Dataset
+from studies.arguments import check_file, find_plant, names, parse_effects, parse_numbers, run_folder
+from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import write_json
 from workbench.provenance import provenance
@@ -17,9 +17,10 @@ from workbench.readers import check_units, read, read_all, write_csv
 
 def run(options: Namespace) -> int:
     """Run the command that was asked for; returns the exit code."""
-    return {"simulate": simulate, "identify": identify, "compare": compare, "doctor": doctor, "study": study}[
-        options.command
-    ](options)
+    check_file(options.json, "--json")
+    return {"simulate": simulate, "identify": identify, "compare": compare, "doctor": doctor, "study": study}[options.command](
+        options
+    )
 
 
 def say(text: str = "") -> None:
@@ -45,7 +46,12 @@ def simulate(options: Namespace) -> int:
     effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)
     start = parse_numbers(options.start)
     chosen = options.experiment
-    if bool(chosen) == bool(options.inputs_from):
+    if chosen and options.inputs_from:
+        raise InputError("--experiment and --inputs-from exclude each other", mend="give one of the two")
+    for name in chosen:
+        if chosen.count(name) > 1:
+            raise InputError(f"experiment {name} is named twice", mend="name it once, or run again with another --seed")
+    if not chosen and not options.inputs_from:
         own = EXPERIMENTS.get(plant.name, {}) if options.plant in EXPERIMENTS else {}
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}--inputs-from RECORD")
@@ -64,7 +70,10 @@ def simulate(options: Namespace) -> int:
         else:
             record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
             done = replay(plant, record, start=start, parameters=parameters, effects=effects)
-        path = write_csv(done.experiment, folder / f"{done.experiment.name}.csv")
+        path = folder / f"{done.experiment.name}.csv"
+        if kind == "record" and path.resolve() == Path(name).resolve():
+            raise InputError("the simulated record would overwrite the measured one", file=path, mend="choose another --out")
+        write_csv(done.experiment, path)
         write_csv(done.states, folder / f"{done.experiment.name}_states.csv")
         say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
         entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps}
@@ -106,7 +115,6 @@ def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
 
 def identify(options: Namespace) -> int:
     """Fit the models asked for, save them, score them on estimation and held-out records."""
-    from workbench.advice import advice
     from workbench.identify import METHODS
 
     wanted = tuple(METHODS) if options.model in ("all", "best") else names(options.model)
@@ -115,13 +123,15 @@ def identify(options: Namespace) -> int:
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
     dataset = read_all(options.records, **roles)
     held_out = read_all(options.validate, **roles) if options.validate else None
-    _check_disjoint(options.records, options.validate)
     _check_roles(dataset, wanted)
+    if held_out:
+        check_held_out(dataset, held_out)
     folder = run_folder(options.out, "identify")
 
     say(_described(dataset))
-    for note in advice(dataset, order=options.order):
-        say(f"{note.severity}: {note.record}{', ' + note.channel if note.channel else ''}: {note.sentence}")
+    _say_advice(dataset, options.order)
+    if held_out:
+        _say_advice(held_out, options.order, warnings_only=True)
     if not dataset.experiments[0].names_of("schedule") and "ilm" in wanted:
         progress("ilm: skipped, it needs a schedule (--schedule)")
         wanted = tuple(method for method in wanted if method != "ilm")
@@ -138,6 +148,14 @@ def identify(options: Namespace) -> int:
     configuration = {"model": options.model, "order": options.order} | roles
     _write(options, folder, results, configuration, held_out or dataset, [*options.records, *options.validate])
     return 0
+
+
+def _say_advice(dataset: Dataset, order: int | None = None, *, warnings_only: bool = False) -> None:
+    from workbench.advice import advice
+
+    for note in advice(dataset, order=order):
+        if note.severity == "warning" or not warnings_only:
+            say(f"{note.severity}: {note.record}{', ' + note.channel if note.channel else ''}: {note.sentence}")
 
 
 def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[tuple[str, Any]]:
@@ -157,10 +175,9 @@ def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[t
 
 def compare(options: Namespace) -> int:
     """Score saved models on records that they never saw and test what is left in their residuals."""
-    from workbench.lpv import load_model
     from workbench.residuals import residual_test
 
-    models = [load_model(path) for path in options.models]
+    models = _load_models(options.models)
     if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
         models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
     results = []
@@ -183,15 +200,15 @@ def compare(options: Namespace) -> int:
     return 0
 
 
-def _check_disjoint(estimation: Iterable[str], held_out: Iterable[str]) -> None:
-    seen = {Path(path).resolve() for path in estimation}
-    for path in held_out:
-        if Path(path).resolve() in seen:
-            raise InputError(
-                "is both an estimation and a held-out record",
-                file=path,
-                mend="a score counts on records that the model never saw: leave it out of one of the two",
-            )
+def _load_models(paths: list[str]) -> list:
+    """The models of these files; a scores file that lies beside them is passed over."""
+    from workbench.lpv import load_model
+
+    for path in paths:
+        if paths.count(path) > 1:
+            raise InputError("is named twice", file=path, mend="name each model once")
+    paths[:] = [path for path in paths if Path(path).name != "scores.json" or len(paths) == 1]
+    return [load_model(path) for path in paths]
 
 
 def _check_roles(dataset: Dataset, wanted: Sequence[str]) -> None:
@@ -202,6 +219,9 @@ def _check_roles(dataset: Dataset, wanted: Sequence[str]) -> None:
     ):
         if not found:
             raise InputError(f"no {role} channel among {', '.join(first.names)}", file=first.name, mend=f"give {option}")
+    if len(first.names_of("schedule")) > 1:
+        several = ", ".join(first.names_of("schedule"))
+        raise InputError("several scheduling channels", file=first.name, channel=several, mend="give --schedule one of them")
     if tuple(wanted) == ("ilm",) and not first.names_of("schedule"):
         raise InputError("ilm needs a scheduling channel", file=first.name, mend="give --schedule")
 
@@ -223,6 +243,13 @@ def _scores(model, estimation: Dataset | None, held_out: Dataset | None, steps: 
         scores += score(model, estimation, "estimation", horizons)
     if held_out is not None:
         scores += score(model, held_out, "held-out", horizons)
+        for e in held_out:
+            if model.schedule and (beyond := model.outside(e[model.schedule.name])) > 0.02:
+                say(
+                    f"warning: {model.name} on {e.name}: {model.schedule.name} leaves the range the model knows, "
+                    f"{model.span[0]:g} to {model.span[1]:g} {model.schedule.unit}, by {100 * beyond:.0f} % of it; "
+                    "there the model holds its edge value"
+                )
     return scores
 
 

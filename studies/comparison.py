@@ -25,9 +25,7 @@ def traces(e: Experiment, models: Mapping[str, LPVModel], output: str) -> Pictur
     return figures.measured_and_simulated(e.name, e.t, figures.Trace(e.channel(output), e[output]), simulated, schedule)
 
 
-def residual_table(
-    models: Mapping[str, LPVModel], records: Iterable[Experiment], *, closed_loop: bool | None = None
-) -> Table:
+def residual_table(models: Mapping[str, LPVModel], records: Iterable[Experiment], *, closed_loop: bool | None = None) -> Table:
     """Family-wise p-values of the whiteness of one-step errors and of their correlation with the inputs."""
     rows: list[tuple] = []
     columns: dict[str, None] = {}

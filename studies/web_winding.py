@@ -101,8 +101,7 @@ def main(
     }
     source = provenance(configuration, records.files, None if data else seed)
     results = [
-        (model, f"{name.lower()}.json", [s for s in scores if s.model == model.name])
-        for name, model in identified.models.items()
+        (model, f"{name.lower()}.json", [s for s in scores if s.model == model.name]) for name, model in identified.models.items()
     ]
     content = to_json(results, source)
     write_json(folder / "scores.json", content)
@@ -139,9 +138,7 @@ def _read(folder: Path) -> Records:
     """A user's records: PRBS1 and RBS estimate where they are there, otherwise the first half by name."""
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".txt", ".tsv", ".mat"))
     if len(files) < 2:
-        raise InputError(
-            f"{len(files)} records", file=folder, mend="the study needs at least two records, one of them held out"
-        )
+        raise InputError(f"{len(files)} records", file=folder, mend="the study needs at least two records, one of them held out")
     dataset = read_all(files, inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,))
     for experiment in dataset:
         check_units(experiment, {c.name: c.unit for c in (*WEB_WINDING.inputs, *WEB_WINDING.outputs)})
@@ -230,11 +227,7 @@ def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...]
         f"On records that no model has seen, {OUTPUT} simulated from the measured voltages (free run) reaches FIT: {said}. "
         f"{best} describes the machine best over the whole reel"
     )
-    text += (
-        f"; it keeps {identified.chosen.support} coefficients at order {identified.chosen.order}. "
-        if best == "SSM"
-        else ". "
-    )
+    text += f"; it keeps {identified.chosen.support} coefficients at order {identified.chosen.order}. " if best == "SSM" else ". "
     if simulated:
         ceilings = [noise_ceiling(e[OUTPUT], WEB_WINDING.noise[OUTPUT]) for e in records.all]
         text += f"A perfect model would reach {min(ceilings):.1f} to {max(ceilings):.1f} % under the sensor's noise. "
@@ -431,9 +424,7 @@ def _frozen(identified: Identified) -> Block:
     curves = {"machine": np.array([magnitude(*frozen_machine(r)) for r in radius])}
     for name, own in identified.models.items():
         curves[name] = np.array([magnitude(*own.freeze(r)[:3]) for r in radius])
-    return figures.frozen_responses(
-        omega, figures.Trace(Channel(SCHEDULE, "m"), radius), curves, "Frozen response from V2 to w3"
-    )
+    return figures.frozen_responses(omega, figures.Trace(Channel(SCHEDULE, "m"), radius), curves, "Frozen response from V2 to w3")
 
 
 # ---- the rest of the page -----------------------------------------------------------------------------------------------

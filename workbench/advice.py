@@ -100,9 +100,7 @@ def feedback(experiment: Experiment, *, order: int = 10, lags: int = 10) -> Feed
     inputs = [n for n in experiment.names_of("input") if np.ptp(experiment[n]) > 0]
     outputs = [n for n in experiment.names_of("output") if np.ptp(experiment[n]) > 0]
     if not inputs or not outputs:
-        raise InputError(
-            "no input or no output that moves", file=experiment.name, mend="name them: with_roles(inputs, outputs)"
-        )
+        raise InputError("no input or no output that moves", file=experiment.name, mend="name them: with_roles(inputs, outputs)")
     references = [n for n in experiment.names_of("reference") if np.ptp(experiment[n]) > 0]
     u, y, r = (_standard(experiment[names][:50_000]) for names in (inputs, outputs, references))
     order = min(order, len(u) // (4 * (u.shape[1] + y.shape[1] + r.shape[1])))
@@ -199,7 +197,7 @@ def _feedback(experiment: Experiment) -> Iterator[Advice]:
             "feedback",
             experiment.name,
             found.input,
-            f"closed loop: {why}; use a method that is unbiased there (PBSID)",
+            f"closed loop: {why}; N4SID is biased there, the default methods (PBSID, SSM) are made for it",
             "warning",
         )
 

@@ -5,6 +5,7 @@ across the joint of two records.
 """
 
 import dataclasses
+import hashlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -123,14 +124,20 @@ class Experiment:
             return self.values[:, self.names.index(names)]
         return np.column_stack([self[name] for name in names]) if len(names) else np.empty((len(self), 0))
 
+    @property
+    def fingerprint(self) -> str:
+        """Hash of names, stamps and values: the same measurement under another name or role has the same one."""
+        content = hashlib.sha256(" ".join(self.names).encode())
+        for array in (self.t, self.values):
+            content.update(np.ascontiguousarray(array).tobytes())
+        return content.hexdigest()
+
     def channel(self, name: str) -> Channel:
         """The channel called `name`; an unknown name is refused with the nearest match."""
         check_known("channel", name, self.names, file=self.name)
         return self.channels[self.names.index(name)]
 
-    def with_roles(
-        self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()
-    ) -> "Experiment":
+    def with_roles(self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()) -> "Experiment":
         """The same record with roles as named.
 
         A role that is named here belongs to these channels only: who held it before becomes "other". A role that is
@@ -146,9 +153,7 @@ class Experiment:
             for name in [names] if isinstance(names, str) else names:
                 check_known("channel", name, self.names, file=self.name)
                 if new.setdefault(name, role) != role:
-                    raise InputError(
-                        f"is named as {new[name]} and as {role}", file=self.name, channel=name, mend="name it once"
-                    )
+                    raise InputError(f"is named as {new[name]} and as {role}", file=self.name, channel=name, mend="name it once")
         taken = set(new.values())
         channels = tuple(
             dataclasses.replace(c, role=new.get(c.name, "other" if c.role in taken else c.role)) for c in self.channels
@@ -223,8 +228,16 @@ class Dataset:
         object.__setattr__(self, "experiments", tuple(self.experiments))
         if not self.experiments:
             raise InputError("no records", mend="name at least one file")
+        seen = {self.experiments[0].fingerprint: self.experiments[0].name}
         for experiment in self.experiments[1:]:
             _check_alike(self.experiments[0], experiment)
+            if experiment.fingerprint in seen:
+                raise InputError(
+                    f"holds the same samples as {seen[experiment.fingerprint]!r}",
+                    file=experiment.name,
+                    mend="name each measurement once",
+                )
+            seen[experiment.fingerprint] = experiment.name
 
     def __iter__(self) -> Iterator[Experiment]:
         return iter(self.experiments)
@@ -240,6 +253,11 @@ class Dataset:
     def names(self) -> tuple[str, ...]:
         """Names of the records, in order."""
         return tuple(experiment.name for experiment in self.experiments)
+
+    @property
+    def fingerprints(self) -> tuple[str, ...]:
+        """Fingerprint of each record, in order."""
+        return tuple(experiment.fingerprint for experiment in self.experiments)
 
     def with_roles(self, inputs: Sequence[str] = (), outputs: Sequence[str] = (), schedule: Sequence[str] = ()) -> "Dataset":
         """Every record with roles as named; see `Experiment.with_roles`."""
@@ -259,6 +277,21 @@ class Dataset:
                 mend=f"name some of, but not all of: {', '.join(self.names)}",
             )
         return Dataset(chosen), Dataset(rest)
+
+
+def check_held_out(estimation: Dataset, held_out: Dataset) -> None:
+    """Refuse held-out records that are estimation records under another name or role, or whose units do not fit them."""
+    first = estimation.experiments[0]
+    used = [c.name for c in first.channels if c.role in ("input", "output", "schedule")]
+    known = {e.fingerprint: e.name for e in estimation}
+    for e in held_out:
+        if e.fingerprint in known:
+            raise InputError(
+                f"holds the same samples as estimation record {known[e.fingerprint]!r}",
+                file=e.name,
+                mend="a score counts on records that the model never saw: leave it out of one of the two",
+            )
+        _check_alike(first.select(used), e.select(used))
 
 
 def segments(experiment: Experiment, mask: np.ndarray, *, shortest: int = 2) -> list[Experiment]:
@@ -304,9 +337,7 @@ def bad_stamps(t: np.ndarray, dt: float) -> Iterator[BadStamp]:
         yield BadStamp(fault, int(k) + 1, t[k], t[k + 1])
 
 
-def _columns(
-    role: Role, group: Mapping[str, np.ndarray] | None, units: Mapping[str, str]
-) -> list[tuple[Channel, np.ndarray]]:
+def _columns(role: Role, group: Mapping[str, np.ndarray] | None, units: Mapping[str, str]) -> list[tuple[Channel, np.ndarray]]:
     return [(Channel(name, units.get(name, ""), role), np.asarray(x, float)) for name, x in (group or {}).items()]
 
 

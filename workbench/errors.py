@@ -27,10 +27,16 @@ class InputError(ValueError):
 
 
 def check_known(kind: str, name: str, known: Iterable[str], *, file: object = None) -> str:
-    """Return `name` if it is one of `known`; otherwise refuse it with the nearest match."""
+    """Return `name` if it is one of `known`; otherwise refuse it with the nearest match.
+
+    Of channels as short as `w3` every other one is near: there only another case or a letter too many counts as a slip.
+    """
     known = list(known)
     if name in known:
         return name
-    near = get_close_matches(name, known, n=1, cutoff=0.5)
-    mend = f"did you mean {near[0]!r}? known: {', '.join(known)}" if near else f"known: {', '.join(known)}"
-    raise InputError(f"unknown {kind} {name!r}", file=file, mend=mend)
+    near = [other for other in known if other.lower() == name.lower()]
+    near += [other for other in known if other and name.startswith(other)]
+    if not near and (len(name) > 3 or kind != "channel"):
+        near = get_close_matches(name, known, n=1, cutoff=0.6)
+    listed = f"known: {', '.join(known)}"
+    raise InputError(f"unknown {kind} {name!r}", file=file, mend=f"did you mean {near[0]!r}? {listed}" if near else listed)

@@ -167,6 +167,7 @@ class LPVModel:
     predictor: Predictor | None = None
     noise: np.ndarray | None = None  # (ny, ny) covariance of the one-step prediction error
     estimates: tuple[Estimate, ...] = ()
+    trained_on: tuple[str, ...] = ()  # fingerprints of the estimation records
     notes: tuple[str, ...] = ()  # what a user must know before using the model, in plain words
 
     def __post_init__(self):
@@ -187,25 +188,42 @@ class LPVModel:
             return np.zeros(len(experiment))
         return np.clip(experiment[self.schedule.name], *self.span)
 
+    def outside(self, rho: np.ndarray) -> float:
+        """How far the schedule leaves the model's span, in widths of the span: 0 inside, NaN where rho is not a number."""
+        width = (self.span[1] - self.span[0]) or 1.0
+        return float(np.max(np.maximum(self.span[0] - rho, rho - self.span[1]), initial=0.0) / width)
+
     def weights(self, rho: np.ndarray) -> np.ndarray:
         """phi_j(rho(k - d_j)), (N, nt); before the first sample the schedule holds its first value."""
         phi = self.basis(rho)
         index = np.arange(len(rho))
         return np.stack([phi[np.maximum(index - term.delay, 0), term.function] for term in self.terms], axis=-1)
 
-    def freeze(self, rho: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A, B, C, D at a constant schedule value."""
+    def freeze(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C, D at a constant schedule value; a model without schedule needs none.
+
+        Raises InputError outside the span of the estimation records: nobody knows the machine there.
+        """
+        if self.schedule is None:
+            rho = 0.0
+        elif rho is None or not self.outside(np.array([rho])) <= 0.01:
+            unit = f" {self.schedule.unit}".rstrip()
+            raise InputError(
+                f"{self.schedule.name} = {'(none given)' if rho is None else f'{rho:g}{unit}'}",
+                file=self.name,
+                mend=f"the model knows {self.schedule.name} from {self.span[0]:g} to {self.span[1]:g}{unit}",
+            )
         weight = self.weights(np.array([np.clip(rho, *self.span)]))[0]
         return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
 
-    def to_control(self, rho: float = 0.0) -> "control.StateSpace":
+    def to_control(self, rho: float | None = None) -> "control.StateSpace":
         """The frozen model as a discrete python-control system with our channel names."""
         import control  # takes a second to import, and only this needs it
 
         return control.StateSpace(
             *self.freeze(rho),
             self.dt,
-            name=f"{self.name} at {rho:g}".replace(".", "_"),  # python-control refuses names with a dot
+            name=(self.name if self.schedule is None else f"{self.name} at {rho:g}").replace(".", "_"),  # it refuses dots
             inputs=[c.name for c in self.inputs],
             outputs=[c.name for c in self.outputs],
         )
@@ -327,6 +345,7 @@ class LPVModel:
             ],
             "noise": self.noise,
             "estimates": [vars(e) for e in self.estimates],
+            "trained_on": list(self.trained_on),
             "notes": list(self.notes),
         }
 
@@ -376,6 +395,7 @@ def _from_dict(content: dict[str, Any]) -> LPVModel:
         predictor=predictor,
         noise=None if content["noise"] is None else np.array(content["noise"]),
         estimates=tuple(Estimate(**e) for e in content["estimates"]),
+        trained_on=tuple(content["trained_on"]),
         notes=tuple(content["notes"]),
         **stacked,
     )

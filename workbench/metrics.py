@@ -92,11 +92,18 @@ def score(
     """Scores by record, horizon and output, all on the rows after the predictor's warm-up.
 
     free-run: inputs and schedule alone; one-step: y(k | k-1); an integer h: y(k | k-h).
-    Raises InputError for a record that is no longer than the warm-up, and for any other horizon.
+    Raises InputError for a record that is no longer than the warm-up, for any other horizon, for a constant output, and where
+    a record called held-out is one that the model was made from.
     """
     warmup = model.predictor.warmup if model.predictor else 0
     scores = []
     for experiment in dataset:
+        if split == "held-out" and experiment.fingerprint in model.trained_on:
+            raise InputError(
+                f"model {model.name!r} was made from this record",
+                file=experiment.name,
+                mend="a score counts on records that the model never saw: leave it out",
+            )
         if len(experiment) < warmup + 2:
             raise InputError(
                 f"{len(experiment)} samples, the model's warm-up takes {warmup}",
@@ -107,6 +114,13 @@ def score(
             simulated = _run(model, experiment, horizon)
             for i, channel in enumerate(model.outputs):
                 y, ys = experiment[channel.name][warmup:], simulated[warmup:, i]
+                if np.ptp(y) <= 1e-12 * np.abs(y).max():
+                    raise InputError(
+                        "constant: FIT and RM compare with its variation",
+                        file=experiment.name,
+                        channel=channel.name,
+                        mend="leave this record or this output out",
+                    )
                 values = (fit(y, ys), rm(y, ys), rmse(y, ys))
                 scores.append(Score(model.name, experiment.name, split, channel.name, horizon, *values, channel.unit))
     return tuple(scores)

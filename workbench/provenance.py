@@ -22,9 +22,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def provenance(
-    configuration: Mapping[str, Any], files: Iterable[str | Path] = (), seed: int | None = None
-) -> dict[str, Any]:
+def provenance(configuration: Mapping[str, Any], files: Iterable[str | Path] = (), seed: int | None = None) -> dict[str, Any]:
     """Configuration as given, SHA-256 of every data file, seed and versions."""
     return {
         "configuration": dict(configuration),

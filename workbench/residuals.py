@@ -64,15 +64,12 @@ class ResidualTest:
         if self.passed:
             return head + "residuals are white and free of the inputs, as far as this record shows"
         what = [
-            f"{c.output} is not white" if c.kind == "whiteness" else f"{c.output} still contains {c.input}"
-            for c in self.rejected
+            f"{c.output} is not white" if c.kind == "whiteness" else f"{c.output} still contains {c.input}" for c in self.rejected
         ]
         return head + "residual of " + ", of ".join(what)
 
 
-def residual_test(
-    model: LPVModel, experiment: Experiment, *, lags: int = 25, closed_loop: bool | None = None
-) -> ResidualTest:
+def residual_test(model: LPVModel, experiment: Experiment, *, lags: int = 25, closed_loop: bool | None = None) -> ResidualTest:
     """e(k) = y(k) - y(k | k-1) after the warm-up: whiteness of each output's, and correlation with each input.
 
     Open loop: e(t) against u(t - k), k = -lags .. lags. Closed loop: k = 1 .. lags only, because later inputs answer past

@@ -128,6 +128,7 @@ def _substeps(plant: Plant, lanes: stepper.Lanes) -> int:
 
 def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray) -> stepper.Lanes:
     p, eta = np.atleast_2d(p), np.atleast_2d(eta)
+    plant.check_parameters(p)
     R, N = max(len(scenarios), len(p), len(eta)), len(scenarios[0])
     for scenario in scenarios:
         _check_scenario(plant, controller, scenario, N)

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,7 +120,7 @@ def test_wrong_words_get_the_nearest_one(capsys, tmp_path, records):
 def test_wrong_files_are_named(capsys, tmp_path, records):
     a = str(records / "prbs1.csv")
     assert "nothing.csv" in refused(capsys, "identify", str(tmp_path / "nothing.csv"))
-    assert "both an estimation and a held-out record" in refused(capsys, "identify", a, "--validate", a)
+    assert "same samples as estimation record" in refused(capsys, "identify", a, "--validate", a)
     broken = tmp_path / "model.json"
     broken.write_text('{"schema": ')
     assert "line 1" in refused(capsys, "compare", str(broken), "--records", a)
@@ -128,9 +129,7 @@ def test_wrong_files_are_named(capsys, tmp_path, records):
     wrong = tmp_path / "rpm.csv"
     text = (records / "rgs.csv").read_text().replace("w3 [rad/s]", "w3 [rpm]", 1)
     wrong.write_text(text)
-    message = refused(
-        capsys, "study", "web-winding", "--data", str(_folder_with(tmp_path / "d", wrong, records / "rbs.csv"))
-    )
+    message = refused(capsys, "study", "web-winding", "--data", str(_folder_with(tmp_path / "d", wrong, records / "rbs.csv")))
     assert "rpm" in message
     assert "w3" in message
     plant = tmp_path / "mine.py"
@@ -158,3 +157,74 @@ def test_doctor_finds_this_machine_fit(capsys, tmp_path):
     assert main(["doctor", "--json", str(tmp_path / "doctor.json")]) == 0
     assert "simulation" in capsys.readouterr().out
     assert all(finding["fine"] for finding in json.loads((tmp_path / "doctor.json").read_text())["findings"])
+
+
+def test_numbers_out_of_range_are_refused_by_name(capsys, records, tmp_path):
+    a = str(records / "prbs1.csv")
+    for order in ("0", "-3", "2.5", "abc"):
+        assert f"'{order}' is not a whole number from 1 on" in refused(capsys, "identify", a, f"--order={order}")
+    assert "'-5' is not a whole number from 0 on" in refused(capsys, "study", "web-winding", "--seed=-5")
+    simulate = ("simulate", "web-winding", "--experiment", "rbs", "--out", str(tmp_path))
+    for value, meaning in (("J0=-1", "inertia"), ("J0=inf", "inertia"), ("Ra=0", "resistance"), ("dancer=nan", "dancer")):
+        message = refused(capsys, *simulate, "--parameter", value)
+        assert meaning in message
+        assert "greater than 0" in message
+    assert "given twice" in refused(capsys, *simulate, "--parameter", "J0=3e-5", "--parameter", "J0=4e-5")
+    assert "named twice" in refused(capsys, "identify", a, "--inputs", "V1,V1")
+    assert "named twice" in refused(capsys, "simulate", "web-winding", "--experiment", "rbs", "rbs")
+
+
+def test_a_measured_record_is_never_overwritten(capsys, records, tmp_path):
+    mine = tmp_path / "rbs.csv"
+    mine.write_bytes((records / "rbs.csv").read_bytes())
+    words = ("simulate", "web-winding", "--inputs-from", str(mine), "--out", str(tmp_path))
+    assert "would overwrite the measured one" in refused(capsys, *words)
+    assert mine.read_bytes() == (records / "rbs.csv").read_bytes()
+
+
+def test_held_out_is_checked_not_believed(capsys, records, tmp_path):
+    a, c = str(records / "prbs1.csv"), str(records / "rgs.csv")
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes((records / "prbs1.csv").read_bytes())
+    fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "lti", "--order", "2", "--out", str(tmp_path))
+    assert "same samples as estimation record 'prbs1'" in refused(capsys, "identify", a, *fit, "--validate", str(copy))
+    rpm = tmp_path / "rpm.csv"
+    rpm.write_text((records / "rgs.csv").read_text().replace("w3 [rad/s]", "w3 [rpm]", 1))
+    assert "units rad/s and rpm" in refused(capsys, "identify", a, *fit, "--validate", str(rpm))
+    assert main(["identify", a, *fit, "--validate", c]) == 0
+    capsys.readouterr()
+    model = str(tmp_path / "lti.json")
+    assert "was made from this record" in refused(capsys, "compare", model, "--records", a)
+    assert "named twice" in refused(capsys, "compare", model, model, "--records", c)
+
+
+def test_a_schedule_beyond_the_models_range_is_said(capsys, records, tmp_path):
+    short = tmp_path / "short.csv"
+    lines = (records / "prbs1.csv").read_text().splitlines(keepends=True)
+    short.write_text("".join(lines[:1200]))
+    fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "ssm", "--order", "2", "--out", str(tmp_path))
+    assert main(["identify", str(short), *fit, "--validate", str(records / "rgs.csv")]) == 0
+    assert "r2 leaves the range the model knows" in capsys.readouterr().out
+
+
+def test_json_is_checked_before_the_work(capsys, records, tmp_path):
+    words = ("identify", str(records / "prbs1.csv"), "--json", str(tmp_path / "no" / "x.json"), "--out", str(tmp_path / "out"))
+    assert "its folder does not exist" in refused(capsys, *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_mistakes_in_an_own_plant_are_named(capsys, records, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "add-a-plant.md").read_text()
+    good = page.split("```python\n")[1].split("```")[0]
+    record = tmp_path / "v.csv"
+    record.write_text("t [s],V [V]\n" + "".join(f"{0.005 * k:.3f},{k % 7}\n" for k in range(50)))
+    plant = tmp_path / "motor.py"
+    for wrong, right, said in (
+        ("p.b * x.w_load", "p.bb * x.w_load", "asks for 'bb'"),
+        ("p.b * x.w_load", "p.b * (x.w_load if x.w_load > 0 else 0)", "np.maximum"),
+        ('"twist": x.w_motor - x.w_load,', "", "no derivative of state twist"),
+        ('Shaft("load", "w_load")', 'Shaft("load", "w_loud")', "'w_loud'"),
+    ):
+        assert wrong in good
+        plant.write_text(good.replace(wrong, right))
+        assert said in refused(capsys, "simulate", f"{plant}:MOTOR", "--inputs-from", str(record), "--out", str(tmp_path / "o"))

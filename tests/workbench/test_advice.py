@@ -60,9 +60,7 @@ def test_a_fixed_law_in_a_logged_set_point_is_a_closed_loop():
         u[k] = 2.0 * (r[k] - y[k])
     made = Experiment.from_arrays("run", 0.1, inputs={"u": u}, outputs={"y": y}, references={"y_set": r})
     assert feedback(made).detected
-    idle = Experiment.from_arrays(
-        "run", 0.1, inputs={"u": run(1, 0.0)["u"][:count]}, outputs={"y": y}, references={"y_set": r}
-    )
+    idle = Experiment.from_arrays("run", 0.1, inputs={"u": run(1, 0.0)["u"][:count]}, outputs={"y": y}, references={"y_set": r})
     assert feedback(idle).law > 0.5
 
 

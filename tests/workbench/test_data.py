@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from workbench.data import Channel, Dataset, Experiment, bad_stamps, segments
+from workbench.data import Channel, Dataset, Experiment, bad_stamps, check_held_out, segments
 from workbench.errors import InputError
 from workbench.records import RecordError
 
@@ -206,7 +206,7 @@ def test_a_set_has_records_names_and_a_sample_time():
 
 
 def test_records_are_split_by_name_into_two_sets():
-    records = Dataset((make("a"), make("b"), make("c")))
+    records = Dataset((make("a", 20), make("b", 21), make("c", 22)))
     chosen, rest = records.split_records(["c", "a"])
     assert (chosen.names, rest.names) == (("a", "c"), ("b",))
     for names in ([], ["a", "b", "c"]):
@@ -214,3 +214,13 @@ def test_records_are_split_by_name_into_two_sets():
             records.split_records(names)
     with pytest.raises(InputError, match="unknown record 'd'"):
         records.split_records(["d"])
+
+
+def test_one_measurement_under_two_names_is_found_out():
+    with pytest.raises(InputError, match="same samples as 'a'"):
+        Dataset((make("a"), make("copy")))
+    with pytest.raises(InputError, match="same samples as estimation record 'a'"):
+        check_held_out(Dataset((make("a"), make("b", 30))), Dataset((make("copy").with_roles(inputs=["V2"]),)))
+    with pytest.raises(InputError, match="unit"):
+        check_held_out(Dataset((make("a", w3="rad/s"),)), Dataset((make("b", 30, w3="rpm"),)))
+    check_held_out(Dataset((make("a"),)), Dataset((make("b", 30),)))

@@ -171,11 +171,16 @@ def test_a_frozen_model_is_python_controls():
     assert frozen.dt == 0.1
 
 
-def test_the_edge_value_is_held_outside_the_span():
-    model = scheduled()
-    for outside, edge in ((0.1, 0.5), (9.0, 2.0)):
-        for found, expected in zip(model.freeze(outside), model.freeze(edge), strict=True):
-            np.testing.assert_array_equal(found, expected)
+@pytest.mark.parametrize("rho", [0.1, 9.0, -1.0, np.nan, np.inf, None])
+def test_freezing_outside_the_span_is_refused(rho):
+    """A radius in mm instead of m must not give a plausible system."""
+    with pytest.raises(InputError, match=r"knows p from 0.5 to 2"):
+        scheduled().freeze(rho)
+
+
+def test_simulation_holds_the_edge_value_outside_the_span():
+    model, inside, beyond = scheduled(), record(60, rho=np.full(60, 2.0)), record(60, rho=np.full(60, 2.5))
+    np.testing.assert_array_equal(model.simulate(beyond), model.simulate(inside))
 
 
 def test_stability_finds_the_worst_schedule_value():
@@ -191,9 +196,7 @@ def test_stability_finds_the_worst_schedule_value():
 
 def test_a_constant_model_needs_no_schedule():
     point = OperatingPoint(CONSTANT, np.array([[1.0]]), np.array([[10.0]]))
-    model = constant_model(
-        "lag", 0.5, ((Channel("u"),), (Channel("y"),)), [np.array([[v]]) for v in (0.5, 1.0, 2.0, 0.0)], point
-    )
+    model = constant_model("lag", 0.5, ((Channel("u"),), (Channel("y"),)), [np.array([[v]]) for v in (0.5, 1.0, 2.0, 0.0)], point)
     e = Experiment.from_arrays("r", 0.5, inputs={"u": np.full(80, 2.0)}, outputs={"y": np.zeros(80)})
     # y(k) = 10 + 2 (1 - 0.5^k) / 0.5
     np.testing.assert_allclose(model.simulate(e)[:, 0], 10 + 4 * (1 - 0.5 ** np.arange(80)))

@@ -305,9 +305,9 @@ def test_a_real_table_without_names_is_refused(tmp_path):
 def test_several_files_are_a_set_of_records(tmp_path):
     text = "\n".join([HEADER, *rows(9)])
     (tmp_path / "b").mkdir()
-    one, two = put(tmp_path, text, "one.csv"), put(tmp_path, text, "two.csv")
+    one, two = put(tmp_path, text, "one.csv"), put(tmp_path, "\n".join([HEADER, *rows(10)]), "two.csv")
     assert read_all([one, two]).names == ("one", "two")
-    twin = put(tmp_path / "b", text, "one.csv")
+    twin = put(tmp_path / "b", "\n".join([HEADER, *rows(11)]), "one.csv")
     names = read_all([one, twin]).names
     assert len(set(names)) == 2
     with pytest.raises(InputError, match="named twice"):

@@ -49,8 +49,7 @@ def test_p_values_are_uniform_under_the_true_model(feedback, closed, smooth):
 def test_without_the_correction_for_smooth_inputs_the_test_would_be_wrong():
     """The same statistic with P = 1 rejects far too often: the correction is what calibrates it."""
     naive = [
-        800
-        * np.sum(residual_test(truth(), machine(s, 800, 0.0, 0.97), closed_loop=False, lags=15).checks[1].correlation ** 2)
+        800 * np.sum(residual_test(truth(), machine(s, 800, 0.0, 0.97), closed_loop=False, lags=15).checks[1].correlation ** 2)
         for s in range(60)
     ]
     assert np.std(naive) > 2.0 * np.sqrt(2 * 31)

@@ -79,7 +79,8 @@ class ILM:
         """The blended model of all records together; raises InputError where no number of local models can be had."""
         blends, refused = self._tried(dataset)
         best = _choose(blends)
-        return _finished(_assemble(self, best), best, self, _notes(best, blends, refused))
+        model = _finished(_assemble(self, best), best, self, _notes(best, blends, refused))
+        return dataclasses.replace(model, trained_on=dataset.fingerprints)
 
     def candidates(self, dataset: Dataset) -> tuple[Candidate, ...]:
         """Every blend that is tried, with its mean free-run FIT on the estimation records."""
@@ -417,9 +418,7 @@ def _notes(best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tu
     ]
     share = best.family.left_out / sum(map(len, best.task.rho))
     if share > 0.01:
-        notes.append(
-            f"{100 * share:.0f} % of the samples were left out: their pieces of a record are too short for the method"
-        )
+        notes.append(f"{100 * share:.0f} % of the samples were left out: their pieces of a record are too short for the method")
     for i, (centre, m) in enumerate(zip(best.family.centres, best.family.local, strict=True)):
         radius = float(np.abs(m.poles).max())
         if radius >= 1.0 and _weight(best, i) > 0.0:

@@ -58,7 +58,7 @@ class LTI:
         chosen = estimate.realise(order)
         notes = (*_order_note(chosen, tried), *model_notes(chosen, self.method, dataset))
         spread = _estimates(chosen, estimate, self.resamples) if isinstance(estimate, PredictorEstimate) else ()
-        return to_model(self.name, chosen, estimates=spread, notes=notes)
+        return replace(to_model(self.name, chosen, estimates=spread, notes=notes), trained_on=dataset.fingerprints)
 
     def sweep(self, dataset: Dataset) -> tuple[Candidate, ...]:
         """Mean free-run FIT on the estimation records for every order that can be had from them."""
@@ -148,9 +148,7 @@ def _estimates(chosen: Subspace, estimate: PredictorEstimate, draws: int) -> tup
         low, high = np.quantile(repeats, [0.1587, 0.8413], axis=0)
         spread = 0.5 * (high - low)
     names = _feature_names(chosen.inputs, chosen.outputs, min(3, chosen.order))
-    return tuple(
-        Estimate(name, float(v), float(s), unit=unit) for (name, unit), v, s in zip(names, value, spread, strict=True)
-    )
+    return tuple(Estimate(name, float(v), float(s), unit=unit) for (name, unit), v, s in zip(names, value, spread, strict=True))
 
 
 def _feature_names(inputs: Sequence[Channel], outputs: Sequence[Channel], poles: int) -> list[tuple[str, str]]:

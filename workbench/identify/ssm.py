@@ -169,7 +169,7 @@ class SSM:
         Raises InputError for records without input or output, too short, or without any model that can be simulated.
         """
         problem = _Problem(self, dataset)
-        return _model(problem, _sweep(problem, None).best)
+        return replace(_model(problem, _sweep(problem, None).best), trained_on=dataset.fingerprints)
 
     def sweep(self, dataset: Dataset, validation: Dataset | None = None) -> "SSMSweep":
         """Every order and mu: support, stability, free-run FIT on the records and, where given, on held-out ones."""
@@ -256,9 +256,7 @@ class _Problem:
         longest = max(options._orders)
         for e in dataset:
             if len(e) <= 2 * longest:
-                raise InputError(
-                    f"{len(e)} samples for order {longest}", file=e.name, mend="give longer records or lower orders"
-                )
+                raise InputError(f"{len(e)} samples for order {longest}", file=e.name, mend="give longer records or lower orders")
         # direct(m): 1 for the constant function, by which alone u(k) is multiplied, or all 0 without a feed-through
         self.direct = _direct(self.basis, acts_at_once(dataset) if options.feedthrough is None else options.feedthrough)
         self.point = options.operating_point.of(self, dataset)
@@ -281,9 +279,7 @@ class _Problem:
 
 def _names(dataset: Dataset) -> _Names:
     first = dataset.experiments[0]
-    inputs, outputs, schedule = (
-        tuple(c for c in first.channels if c.role == role) for role in ("input", "output", "schedule")
-    )
+    inputs, outputs, schedule = (tuple(c for c in first.channels if c.role == role) for role in ("input", "output", "schedule"))
     for role, found in (("input", inputs), ("output", outputs)):
         if not found:
             raise InputError(f"no {role} channel", file=first.name, mend="name one with with_roles")

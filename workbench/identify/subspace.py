@@ -184,9 +184,7 @@ def _windows(dataset: Dataset, past: int, ahead: int) -> Windows:
     centre, scale = together.mean(axis=0), together.std(axis=0)
     for name, spread, size in zip(names, scale, np.abs(centre), strict=True):
         if spread <= 1e-12 * max(size, 1e-300):
-            raise InputError(
-                "constant in all records", channel=name, mend="leave it out, or excite it in the next experiment"
-            )
+            raise InputError("constant in all records", channel=name, mend="leave it out, or excite it in the next experiment")
     length = past + 1 + ahead
     long_enough = [(z - centre) / scale for z in records if len(z) >= length]
     # a window never spans two records: each record is cut into its own

@@ -26,13 +26,17 @@ from workbench.records import field, record
 
 @record
 class Parameter:
-    """A physical constant; tolerance is the relative half-width that a data sheet leaves open."""
+    """A physical constant; tolerance is the relative half-width that a data sheet leaves open.
+
+    signed: it may be zero or negative; what is not (a mass, a stiffness, a resistance) is refused at such values.
+    """
 
     name: str
     value: float = field("")
     unit: str = ""
     tolerance: float = field("", low=0.0, default=0.0)
     meaning: str = ""
+    signed: bool = False
 
 
 @record
@@ -153,7 +157,20 @@ class Plant:
         names = [p.name for p in self.parameters]
         for name, value in (changed or {}).items():
             values[names.index(check_known("parameter", name, names, file=self.name))] = value
+        self.check_parameters(values[None])
         return values
+
+    def check_parameters(self, p: np.ndarray) -> None:
+        """Refuse parameter vectors p (R, np) that are not finite, or not positive where they must be."""
+        for i, q in enumerate(self.parameters):
+            bad = ~np.isfinite(p[:, i]) | (~np.isfinite(p[:, i]) if q.signed else ~(p[:, i] > 0.0))
+            if bad.any():
+                value = p[int(np.argmax(bad)), i]
+                raise InputError(
+                    f"parameter {q.name} = {value:g} {q.unit}",
+                    file=self.name,
+                    mend=f"{q.meaning or q.name} must be {'finite' if q.signed else 'greater than 0'}",
+                )
 
     def effect_vector(self, sizes: EffectSizes | None = None) -> np.ndarray:
         """Effect parameters eta (ne): neutral but for `sizes`, e.g. {"coulomb@unwind": {"level": 0.002}}."""
@@ -248,9 +265,18 @@ class Plant:
         """(x, u, p, eta, angle, t) -> (dx, y) as a CasADi function: the same equation on symbols."""
         s = self.symbols
         split = {name: ca.vertsplit(symbol) if symbol.numel() else [] for name, symbol in s.items()}
-        with symbolic_numpy():
-            dx = self.derivative(split["x"], split["u"], split["p"], split["eta"], t=s["t"], angle=split["angle"])
-            y = self.output(split["x"], split["p"])
+        try:
+            with symbolic_numpy():
+                dx = self.derivative(split["x"], split["u"], split["p"], split["eta"], t=s["t"], angle=split["angle"])
+                y = self.output(split["x"], split["p"])
+        except RuntimeError as reason:
+            if "truth value" not in str(reason):
+                raise
+            raise InputError(
+                "the equation has an `if`, `and`, `or`, `min` or `max` on a state, an input or a parameter",
+                file=self.name,
+                mend="write np.minimum, np.maximum or a smooth function such as np.tanh",
+            ) from None
         return ca.Function(self._identifier, list(s.values()), [_column(dx), _column(y)], list(s), ["dx", "y"])
 
     @property
@@ -299,9 +325,7 @@ class Plant:
         for name, value in (dict(self.start.guess) | dict(self.start.fixed) | fixed).items():
             check_known("state or input", name, names, file=self.name)
             own = [q.name for q in self.parameters]
-            column = (
-                p[:, own.index(check_known("parameter", value, own, file=self.name))] if isinstance(value, str) else value
-            )
+            column = p[:, own.index(check_known("parameter", value, own, file=self.name))] if isinstance(value, str) else value
             z[:, names.index(name)] = column
         unknown = [names.index(name) for name in self.start.solve_for]
         zero = [self.state_names.index(name) for name in self.start.zero]
@@ -310,13 +334,22 @@ class Plant:
             residual = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
             A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)
             J = np.concatenate([A, B], axis=2)[:, zero][:, :, unknown]
-            step = np.linalg.solve(J, residual[:, :, None])[:, :, 0]
+            try:
+                step = np.linalg.solve(J, residual[:, :, None])[:, :, 0]
+            except np.linalg.LinAlgError:
+                raise InputError(
+                    f"{', '.join(self.start.solve_for)} do not determine an equilibrium", file=self.name, mend="see Start"
+                ) from None
             z[:, unknown] -= step
             if np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown]))) < 1e-13:
                 break
         else:
             if unknown:
-                raise InputError("no equilibrium found for these parameters", file=self.name, mend="give a better guess")
+                raise InputError(
+                    "no equilibrium found for these parameters and start values",
+                    file=self.name,
+                    mend="are they possible together? otherwise give the plant's Start a better guess",
+                )
         for name in set(fixed) & set(self.start.solve_for):
             z[:, names.index(name)] = fixed[name]
         return z[:, :nx], z[:, nx:]

@@ -161,9 +161,7 @@ def test_its_observer_predicts_better_than_its_free_run(records, model):
     rows = [(e[["y"]] - model.predict(e))[20:] for e in records]
     np.testing.assert_allclose(model.noise, np.mean(np.concatenate(rows) ** 2), rtol=1e-9)
     grid = np.linspace(*model.span, 25)
-    radii = [
-        np.abs(np.linalg.eigvals(np.tensordot(model.weights(np.array([p]))[0], model.predictor.F, 1))).max() for p in grid
-    ]
+    radii = [np.abs(np.linalg.eigvals(np.tensordot(model.weights(np.array([p]))[0], model.predictor.F, 1))).max() for p in grid]
     assert max(radii) < 1
 
 

@@ -59,9 +59,7 @@ class Page(HTMLParser):
 
 
 def picture(name: str = "speed", values=(1.5, -2.25)) -> Picture:
-    return Picture(
-        name, SVG, f"Caption of {name}", Data(name, (Column("t", np.arange(len(values)), "s"), Column(name, values)))
-    )
+    return Picture(name, SVG, f"Caption of {name}", Data(name, (Column("t", np.arange(len(values)), "s"), Column(name, values))))
 
 
 def full_report(name: str = "speed") -> Report:

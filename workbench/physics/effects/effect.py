@@ -11,6 +11,10 @@ from workbench.errors import InputError
 from workbench.records import field, record
 
 
+class UnknownNameError(InputError, AttributeError):
+    """An equation asks for a name that its plant does not have."""
+
+
 class Named:
     """Numbers by name: `p.J0`. Values may be floats, arrays or CasADi symbols; it only holds them."""
 
@@ -18,7 +22,9 @@ class Named:
         self.__dict__.update(values)
 
     def __getattr__(self, name: str):
-        raise AttributeError(f"no {name!r} here; known: {', '.join(self.__dict__)}")
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise UnknownNameError(f"the equation asks for {name!r}", mend=f"here are: {', '.join(self.__dict__) or 'no names'}")
 
 
 @record
