@@ -39,7 +39,7 @@ def test_tables_show_the_printed_numbers_beside_ours(result):
 
 def test_report_opens_with_the_verdict_and_holds_every_picture(result):
     page = result[1].read_text()
-    assert page.index("On records that no model has seen") < page.index("<svg")
+    assert page.index("records that no model has seen") < page.index("<svg")
     for title in ("w3, record prbs2", "w3, record rbs", "w3, record sine", "w3, record rgs", "Sparsity path"):
         assert title in page
     assert "Singular values" in page
@@ -56,6 +56,42 @@ def test_users_records_go_the_same_way(result, tmp_path):
     assert theirs == pytest.approx(ours, abs=1e-9)
     assert "A perfect model would reach" in result[1].read_text()
     assert "A perfect model would reach" not in path.read_text()  # nobody knows the noise of a user's sensor
+    assert "in [1]" not in path.read_text()  # nor is their machine the paper's
+
+
+def test_a_spoilt_held_out_record_is_doubted_not_ranked(result, tmp_path):
+    """One sentinel value of -9999 in the only held-out record: no model "describes best", and the warning is at hand."""
+    folder = tmp_path / "records"
+    folder.mkdir()
+    for name in ("prbs1", "rbs"):
+        (folder / f"{name}.csv").write_bytes((result[0] / "records" / f"{name}.csv").read_bytes())
+    lines = (result[0] / "records" / "rgs.csv").read_text().splitlines()
+    column = lines[0].split(",").index("w3 [rad/s]")
+    cells = lines[900].split(",")
+    cells[column] = "-9999"
+    lines[900] = ",".join(cells)
+    (folder / "rgs.csv").write_text("\n".join(lines) + "\n")
+    said = []
+    web_winding.main(quick=True, folder=tmp_path / "out", data=str(folder), say=said.append, progress=lambda _: None)
+    text = "\n".join(said)
+    assert "No model describes these records" in text
+    assert "best over the whole reel" not in text
+    assert any(line.startswith("warning: rgs, w3") for line in said)
+
+
+def test_weakness_is_found_where_it_is():
+    """A model that is wrong at large radius only: the error by radius says so, and the verdict's ratio with it."""
+    from workbench.data import Dataset
+
+    record = web_winding.simulate(
+        web_winding.WEB_WINDING,
+        web_winding.plan("web-winding", "rbs").controller,
+        web_winding.plan("web-winding", "rbs").scenario(2),
+    ).experiment.with_roles(("V1", "V2"), ("w3",), ("r2",))
+    model = web_winding.LTI(order=3).fit(Dataset((record.trim(stop=30.0),)))  # knows the small radii only
+    errors = web_winding._band_errors(model, Dataset((record,)))
+    assert np.argmax(errors) == web_winding.BANDS - 1
+    assert errors[-1] > 3 * errors[0]
 
 
 def test_too_few_records_are_refused(tmp_path):
