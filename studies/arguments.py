@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import math
 import sys
 from collections.abc import Iterable
 from datetime import datetime
@@ -76,6 +77,8 @@ def parse_numbers(texts: Iterable[str]) -> dict[str, float]:
             values[name] = float(value)
         except ValueError:
             raise InputError(f"{text!r} is not name=number", mend=f"write e.g. {name or 'name'}=0.002") from None
+        if not math.isfinite(values[name]):
+            raise InputError(f"{text!r} is not finite", mend="give a number")
     return values
 
 

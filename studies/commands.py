@@ -168,9 +168,16 @@ def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[t
         say(f"chosen: {choice.method}; free-run FIT on the last third of the estimation records: {judged}")
         yield choice.method, choice.model
         return
+    refused: list[InputError] = []
     for name, method in methods.items():
         progress(f"{name}: identifying")
-        yield name, method.fit(dataset)
+        try:
+            yield name, method.fit(dataset)
+        except InputError as reason:
+            say(f"warning: no {name} model: {reason.problem}")
+            refused.append(reason)
+    if len(refused) == len(methods):
+        raise refused[0]
 
 
 def compare(options: Namespace) -> int:

@@ -26,13 +26,13 @@ from workbench.identify.lti import LTI
 from workbench.identify.ssm import SSM, Candidate, SSMSweep
 from workbench.identify.subspace import PBSID
 from workbench.lpv import LPVModel
-from workbench.metrics import Score, noise_ceiling, score, to_json
+from workbench.metrics import Score, fit, score, to_json
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_all, write_csv
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
-from workbench.simulate import simulate
+from workbench.simulate import replay, simulate
 
 Say = Callable[[str], None]
 
@@ -249,8 +249,11 @@ def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...]
         text += f"; it keeps {chosen.support} coefficients at order {chosen.order}. " if best == "SSM" else ". "
         text += f"Its error is {worst[best]:.1f} times larger in the worst part of the reel than in the best. "
     if simulated:
-        ceilings = [noise_ceiling(e[OUTPUT], WEB_WINDING.noise[OUTPUT]) for e in records.all]
-        text += f"A perfect model would reach {min(ceilings):.1f} to {max(ceilings):.1f} % under the sensor's noise. "
+        ceilings = [_machine_fit(e) for e in records.all]
+        text += (
+            f"The true machine itself, driven by the logged voltages, reaches {min(ceilings):.1f} to {max(ceilings):.1f} %: "
+            "the rest is sensor noise and disturbances that nobody logged. "
+        )
     unstable = [name for name, model in identified.models.items() if not model.stability().stable]
     if unstable:
         text += f"Unstable over its own schedule range: {', '.join(unstable)}. "
@@ -265,6 +268,11 @@ def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...]
 def _warnings(records: Records) -> list[Advice]:
     """Warnings about the data, the one that every controlled loop is a closed one apart."""
     return [a for a in advice(Dataset(records.all)) if a.severity == "warning" and a.kind != "feedback"]
+
+
+def _machine_fit(e: Experiment) -> float:
+    """FIT of the noise-free true machine, driven by a record's logged inputs: what no model can beat by more than luck."""
+    return fit(e[OUTPUT], replay(WEB_WINDING, e).experiment[OUTPUT])
 
 
 BANDS = 5
@@ -335,6 +343,11 @@ def _score_blocks(records: Records, scores: tuple[Score, ...], models: list[str]
         if simulated:
             rows = [(*row, *(printed[m][EXPERIMENTS.index(row[0])] for m in models)) for row in rows]
             header += tuple(f"{model} in [1]" for model in models)
+            if measure == "FIT":
+                machine: dict[Any, float] = {e.name: _machine_fit(e) for e in records.all}
+                rows = [(*row[: 2 + len(models)], machine[row[0]], *row[2 + len(models) :]) for row in rows]
+                header = (*header[: 2 + len(models)], "true machine", *header[2 + len(models) :])
+                caption += " True machine: the plant itself, noise-free, driven by the logged inputs; nothing can do better."
             caption += f" {PRINTED_NOTE}"
         name = f"Table {title} [%], free run" if simulated else f"{measure} [%], free run"
         blocks.append(Table(name, header, tuple(rows), caption=caption, digits=3))
@@ -404,9 +417,9 @@ def _evidence(records: Records, identified: Identified, simulated: bool) -> list
             "Coefficients of SSM",
             ("coefficient", "value", "standard deviation", "feasible from", "feasible to"),
             tuple((e.name, e.value, e.std, _or_nan(e.low), _or_nan(e.high)) for e in estimates),
-            caption="Every coefficient that the sparse identification kept; the feasible interval holds every value that is "
-            "consistent with the records and the bound on the noise. One that holds 0 is not proved to be needed. "
-            "rho is the radius over the scale that the model file names.",
+            caption="Every coefficient that the sparse identification kept. The feasible interval holds the values that the "
+            "records and the noise allow, if all other coefficients are zero and the noise is no larger than the residuals "
+            "suggest. One that holds 0 is not proved to be needed. rho is the radius over the scale in the model file.",
         )
     )
     notes = "\n\n".join(f"{name}: {note}" for name, model in identified.models.items() for note in model.notes)
@@ -477,7 +490,15 @@ def _coefficients(records: Records, model: LPVModel, simulated: bool) -> Picture
         for j, name in enumerate(INPUTS):
             column = None if truth is None else truth[:, n + 2 * i + j]
             curves[f"{name}(k-{i + 1})"] = figures.Coefficient(g[:, i, j], truth=column)
-    return figures.coefficient_functions(figures.Trace(Channel(SCHEDULE, "m"), radius), curves)
+    picture = figures.coefficient_functions(figures.Trace(Channel(SCHEDULE, "m"), radius), curves)
+    if truth is None:
+        return picture
+    return replace(
+        picture,
+        caption=f"{picture.caption} Truth: what the same regression finds on the machine with its radii frozen, from an endless "
+        "record with the sensor's noise. Noise in the regressors moves the coefficients of any such regression, so these are not "
+        "the coefficients of a noise-free machine; the frozen response below compares with the machine itself.",
+    )
 
 
 def _frozen(identified: Identified) -> Block:

@@ -16,6 +16,11 @@ import numpy as np
 from workbench.errors import InputError, check_known
 from workbench.records import field, record
 
+#: Relative difference below which two sample times are the same: logger clocks differ.
+SAME_DT = 1e-3
+#: Samples on either side of an extreme value that tell one measurement from another.
+FINGER = 64
+
 Role = Literal["time", "input", "output", "schedule", "reference", "other"]
 
 #: A step of time longer than this many sample times is a gap.
@@ -126,10 +131,18 @@ class Experiment:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of names, stamps and values: the same measurement under another name or role has the same one."""
-        content = hashlib.sha256(" ".join(self.names).encode())
-        for array in (self.t, self.values):
-            content.update(np.ascontiguousarray(array).tobytes())
+        """Hash of the outputs around their largest and smallest values: the same for a copy of the measurement under another
+        name, with other stamps, cut shorter, or with columns left out. Without outputs all values are hashed.
+        """
+        content = hashlib.sha256()
+        outputs = sorted(self.names_of("output"))
+        for name in outputs or self.names:
+            y = self[name]
+            content.update(name.encode())
+            for k in (int(np.argmax(y)), int(np.argmin(y))) if outputs else ():
+                content.update(np.ascontiguousarray(y[max(k - FINGER, 0) : k + FINGER]).tobytes())
+            if not outputs:
+                content.update(np.ascontiguousarray(y).tobytes())
         return content.hexdigest()
 
     def channel(self, name: str) -> Channel:
@@ -355,7 +368,7 @@ def _check_finite(name: str, names: Sequence[str], values: np.ndarray) -> None:
 
 def _check_alike(first: Experiment, other: Experiment) -> None:
     pair = f"{first.name} and {other.name}"
-    if abs(other.dt - first.dt) > 1e-3 * first.dt:
+    if abs(other.dt - first.dt) > SAME_DT * first.dt:
         raise InputError(
             f"sample times {first.dt:g} s and {other.dt:g} s, expected the same",
             file=pair,

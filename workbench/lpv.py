@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.data import Channel, Experiment
+from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
 from workbench.records import field, record
@@ -171,6 +171,9 @@ class LPVModel:
     notes: tuple[str, ...] = ()  # what a user must know before using the model, in plain words
 
     def __post_init__(self):
+        for term in self.terms:
+            if not 0 <= term.function < len(self.basis.names) or term.delay < 0:
+                raise InputError(f"no function {term.function} or delay {term.delay} in this basis", file=self.name)
         if len(self.terms) != self.A.shape[0]:
             raise InputError(f"{len(self.terms)} terms for {self.A.shape[0]} matrices", file=self.name)
         if len(self.inputs) != self.B.shape[2] or len(self.outputs) != self.C.shape[1]:
@@ -284,7 +287,7 @@ class LPVModel:
         return out + self._output_offset(experiment)
 
     def _deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        if abs(experiment.dt - self.dt) > 1e-6 * self.dt:
+        if abs(experiment.dt - self.dt) > SAME_DT * self.dt:
             raise InputError(
                 f"sample time {experiment.dt:g} s, the model has {self.dt:g} s",
                 file=experiment.name,
@@ -339,7 +342,7 @@ class LPVModel:
             },
             "predictor_warmup": self.predictor.warmup if self.predictor else None,
             "terms": [
-                {"function": self.basis.names[term.function], "delay": term.delay}
+                {"function": term.function, "name": self.basis.names[term.function], "delay": term.delay}
                 | {key: M[j] for key, M in self._matrices().items()}
                 for j, term in enumerate(self.terms)
             ],
@@ -390,12 +393,12 @@ def _from_dict(content: dict[str, Any]) -> LPVModel:
         schedule=Channel(**content["schedule"]) if content["schedule"] else None,
         span=content["span"],
         basis=basis,
-        terms=tuple(Term(basis.names.index(term["function"]), term["delay"]) for term in terms),
+        terms=tuple(Term(int(term["function"]), int(term["delay"])) for term in terms),
         operating_point=OperatingPoint(_basis_from_dict(point["basis"]), point["u"], point["y"]),
         predictor=predictor,
         noise=None if content["noise"] is None else np.array(content["noise"]),
         estimates=tuple(Estimate(**e) for e in content["estimates"]),
-        trained_on=tuple(content["trained_on"]),
+        trained_on=tuple(content.get("trained_on", ())),
         notes=tuple(content["notes"]),
         **stacked,
     )

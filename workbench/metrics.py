@@ -53,7 +53,9 @@ def rmse(y: np.ndarray, simulated: np.ndarray) -> float:
 def noise_ceiling(y: np.ndarray, noise_std: float) -> float:
     """FIT = 100 (1 - sqrt(N) s / ||y - mean(y)||_2): what a perfect model would score on y (N,), noise s included.
 
-    A free-run score above it has fitted noise. `noise_std` is the standard deviation of the measurement noise in y's unit.
+    A free-run score above it has fitted noise. Disturbances that are not logged lower what can be reached further; where the
+    true plant is known, drive it with the logged inputs instead. `noise_std` is the standard deviation of the measurement
+    noise in y's unit.
     """
     y = np.asarray(y, float)
     return fit(y, y + noise_std)

@@ -23,10 +23,13 @@ def versions() -> dict[str, str]:
 
 
 def provenance(configuration: Mapping[str, Any], files: Iterable[str | Path] = (), seed: int | None = None) -> dict[str, Any]:
-    """Configuration as given, SHA-256 of every data file, seed and versions."""
+    """Configuration as given, SHA-256 of every data file, seed and versions. Files of one name go by their whole path."""
+    paths = [Path(path) for path in files]
+    names = [path.name for path in paths]
+    keys = [path.name if names.count(path.name) == 1 else str(path) for path in paths]
     return {
         "configuration": dict(configuration),
-        "data": {str(Path(path).name): sha256(path) for path in files},
+        "data": {key: sha256(path) for key, path in zip(keys, paths, strict=True)},
         "seed": seed,
         "versions": versions(),
     }

@@ -6,10 +6,11 @@ single run and anywhere in a batch.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from workbench.data import Channel, Experiment
+from workbench.data import SAME_DT, Channel, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.physics import stepper
 from workbench.physics.controller import Controller, Playback
@@ -63,7 +64,7 @@ def simulate(
     {"coulomb@unwind": {"level": 0.002}}. substeps: integrator steps a sample; default: as many as the run needs.
     """
     lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects))
-    used = substeps or _substeps(plant, lanes)
+    used = _substeps(plant, lanes, substeps)
     run = stepper.run(plant, controller, lanes, used)
     _check_range(plant, scenario, run.states[0])
     t = plant.dt * np.arange(len(scenario))
@@ -95,7 +96,8 @@ def simulate_batch(
 ) -> stepper.Trajectories:
     """R runs side by side: `parameters` (R, np) and `effects` (R, ne) in the plant's order, one scenario or one a run.
 
-    Runs whose numbers leave the finite range come back as NaN: in a sweep that is a result, not a failure.
+    From the sample on at which a run leaves the plant's limits or the finite range it is NaN: in a sweep that is a result, not
+    a failure.
     """
     each = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     p = plant.nominal[None] if parameters is None else np.atleast_2d(parameters)
@@ -105,30 +107,40 @@ def simulate_batch(
         if size not in (1, R):
             raise InputError(f"{size} {kind} for {R} runs", file=plant.name, mend=f"give 1 or {R}")
     lanes = _lanes(plant, controller, each, p, eta)
-    return stepper.run(plant, controller, lanes, substeps or _substeps(plant, lanes), threads or stepper.cores())
+    run = stepper.run(plant, controller, lanes, _substeps(plant, lanes, substeps), threads or stepper.cores())
+    for i, k in enumerate(_first_outside(plant, run.states)):
+        for values in (run.states, run.measured, run.commands):
+            values[i, k:] = np.nan
+    return run
 
 
 def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] | None = None, **options) -> Run:
     """The plant driven by the inputs of a measured record, from a given start: the simulation a record is compared with."""
     for name in plant.input_names:
         check_known("channel", name, experiment.names, file=experiment.name)
-    if abs(experiment.dt - plant.dt) > 1e-6 * plant.dt:
+    if abs(experiment.dt - plant.dt) > SAME_DT * plant.dt:
         raise InputError(
             f"sampled every {experiment.dt:g} s, the plant every {plant.dt:g} s",
             file=experiment.name,
             mend="resample the record",
         )
+    for bad in bad_stamps(experiment.t, experiment.dt):
+        raise InputError(f"{bad.fault} stamp at {bad.before:g} s", file=experiment.name, mend="cut the record there with trim")
     scenario = Scenario(experiment.name, {name: experiment[name] for name in plant.input_names}, start=start or {})
-    return simulate(plant, Playback(plant.input_names, plant.dt), scenario, **options)
+    run = simulate(plant, Playback(plant.input_names, plant.dt), scenario, **options)
+    return replace(run, experiment=replace(run.experiment, t=experiment.t), states=replace(run.states, t=experiment.t))
 
 
-def _substeps(plant: Plant, lanes: stepper.Lanes) -> int:
-    return stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold)
+def _substeps(plant: Plant, lanes: stepper.Lanes, wanted: int | None) -> int:
+    if wanted is not None and wanted < 1:
+        raise InputError(f"substeps {wanted}", mend="at least one integrator step a sample")
+    return wanted or stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold)
 
 
 def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray) -> stepper.Lanes:
     p, eta = np.atleast_2d(p), np.atleast_2d(eta)
     plant.check_parameters(p)
+    plant.check_effects(eta)
     R, N = max(len(scenarios), len(p), len(eta)), len(scenarios[0])
     for scenario in scenarios:
         _check_scenario(plant, controller, scenario, N)
@@ -185,15 +197,23 @@ def _signals(plant: Plant, controller: Controller, scenario: Scenario) -> tuple[
     return reference, disturbance, noise
 
 
+def _first_outside(plant: Plant, states: np.ndarray) -> np.ndarray:
+    """First sample at which each run (R, N, nx) has left the plant's limits or the finite range; N where none has."""
+    low, high = np.array([plant.limits.get(name, (-np.inf, np.inf)) for name in plant.state_names]).T
+    bad = ~(np.isfinite(states) & (states >= low) & (states <= high)).all(axis=2)
+    return np.where(bad.any(axis=1), bad.argmax(axis=1), states.shape[1])
+
+
 def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray) -> None:
-    """Refuse a run that left the range in which the plant's equation means something."""
-    for i, channel in enumerate(plant.states):
+    """Refuse a run (N, nx) that left the range in which the plant's equation means something."""
+    k = int(_first_outside(plant, states[None])[0])
+    if k == len(states):
+        return
+    for channel, value in zip(plant.states, states[k], strict=True):
         low, high = plant.limits.get(channel.name, (-np.inf, np.inf))
-        bad = ~(np.isfinite(states[:, i]) & (states[:, i] >= low) & (states[:, i] <= high))
-        if bad.any():
-            k = int(np.argmax(bad))
+        if not (np.isfinite(value) and low <= value <= high):
             raise InputError(
-                f"{states[k, i]:.3g} {channel.unit} at t = {k * plant.dt:g} s, outside [{low:g}, {high:g}] {channel.unit}",
+                f"{value:.3g} {channel.unit} at t = {k * plant.dt:g} s, outside [{low:g}, {high:g}] {channel.unit}",
                 file=f"{plant.name}, {scenario.name}",
                 channel=channel.name,
                 mend="an unstable loop, or a run that is too long? check gains, effects, start values and duration",

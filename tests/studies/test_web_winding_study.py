@@ -54,8 +54,8 @@ def test_users_records_go_the_same_way(result, tmp_path):
     ours = json.loads((result[0] / "scores.json").read_text())["models"][0]["scores"][0]["FIT"]
     theirs = json.loads((tmp_path / "scores.json").read_text())["models"][0]["scores"][0]["FIT"]
     assert theirs == pytest.approx(ours, abs=1e-9)
-    assert "A perfect model would reach" in result[1].read_text()
-    assert "A perfect model would reach" not in path.read_text()  # nobody knows the noise of a user's sensor
+    assert "The true machine itself" in result[1].read_text()
+    assert "The true machine itself" not in path.read_text()  # nobody knows the noise of a user's sensor
     assert "in [1]" not in path.read_text()  # nor is their machine the paper's
 
 

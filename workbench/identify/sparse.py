@@ -69,6 +69,14 @@ class L2:
     def norm(self, e: np.ndarray) -> float:
         return float(np.linalg.norm(e))
 
+    def noise_bound(self, e: np.ndarray, fitted: int) -> float:
+        """A bound that the noise behind least-squares residuals e (N) of `fitted` coefficients keeps with some certainty.
+
+        s sqrt(N + 3 sqrt(2 N)) with s^2 = e'e/(N - fitted): three standard deviations of ||d||^2 for white Gaussian d.
+        """
+        N = len(e)
+        return float(np.linalg.norm(e) * np.sqrt((N + 3.0 * np.sqrt(2.0 * N)) / max(N - fitted, 1)))
+
     def compress(self, Psi: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A problem of at most n + 1 rows with the same ||Y - Psi theta||_2 for every theta."""
         if len(Y) <= Psi.shape[1] + 1:
@@ -293,6 +301,10 @@ class LInf:
 
     def norm(self, e: np.ndarray) -> float:
         return float(np.abs(e).max(initial=0.0))
+
+    def noise_bound(self, e: np.ndarray, fitted: int) -> float:
+        """The largest least-squares residual and a tenth more, corrected for `fitted` coefficients: no statistics, a caution."""
+        return float(1.1 * np.abs(e).max(initial=0.0) * np.sqrt(len(e) / max(len(e) - fitted, 1)))
 
     def compress(self, Psi: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same problem: in this norm every row counts."""

@@ -597,7 +597,9 @@ def _uncertainty(problem: _Problem, best: Candidate) -> tuple[tuple[Estimate, ..
     """Estimates by coefficient and the covariance (ny, ny) of the one-step error.
 
     The interval is the set membership one, {theta on the support: ||Y - Psi theta||_h <= mu}: it contains the truth
-    whenever the true coefficients outside the support are zero and the noise keeps the bound. The standard deviation is
+    whenever the true coefficients outside the support are zero and the noise keeps the bound. A mu a few percent above its
+    smallest value is a choice of sparsity and says nothing about the noise: unless the user gave mu, the intervals use the
+    bound that the residuals support, where it is larger. The standard deviation is
     that of least squares on the same support, with the covariance of coloured errors (Newey and West 1987, Bartlett
     weights); it needs regressors that are independent of the error, which past outputs are only for white errors.
     """
@@ -611,6 +613,9 @@ def _uncertainty(problem: _Problem, best: Candidate) -> tuple[tuple[Estimate, ..
         S = np.flatnonzero(theta)
         if len(S) == 0:
             continue
+        if problem.options.mu is None:
+            e = y - Psi[:, S] @ np.linalg.lstsq(Psi[:, S], y, rcond=None)[0]
+            mu = max(mu, bound.noise_bound(e, len(S)))
         intervals = bound.intervals(*bound.compress(Psi[:, S], y), mu)
         std = _standard_deviation(Psi[:, S], y, lengths)
         for j, low, high, deviation in zip(S, intervals.low, intervals.high, std, strict=True):

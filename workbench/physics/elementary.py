@@ -40,8 +40,8 @@ def _float(typingctx, x):
 @njit(inline="always")
 def exp(x):
     """e^x, clamped to |x| <= 708."""
-    x = x if x < 708.0 else 708.0
-    x = x if x > -708.0 else -708.0
+    x = x if not x >= 708.0 else 708.0  # written so that NaN stays NaN
+    x = x if not x <= -708.0 else -708.0
     shifted = x * LOG2E + SHIFTER
     n = shifted - SHIFTER
     r = (x - n * LN2_HIGH) - n * LN2_LOW
@@ -59,7 +59,7 @@ def exp(x):
     q = q * r + 1.0 / 6.0
     q = q * r + 0.5
     value = 1.0 + (r + r * r * q)
-    return _float(_bits(value) + (_bits(shifted) << 52))  # pyright: ignore[reportCallIssue]
+    return _float(_bits(value) + (_bits(shifted) << 52)) + 0.0 * x  # pyright: ignore[reportCallIssue]
 
 
 @njit(inline="always")

@@ -11,6 +11,7 @@ import importlib.util
 import os
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -25,7 +26,8 @@ SCALAR, SIMD = 1, 16  # lanes: one run for the shortest answer, sixteen for the 
 
 _BINARY = {
     ca.OP_ADD: "{a} + {b}", ca.OP_SUB: "{a} - {b}", ca.OP_MUL: "{a} * {b}", ca.OP_DIV: "{a} / {b}",
-    ca.OP_FMIN: "{a} if {a} < {b} else {b}", ca.OP_FMAX: "{a} if {a} > {b} else {b}",
+    # NaN on either side is kept, as numpy keeps it
+    ca.OP_FMIN: "({a} if not {a} >= {b} else {b}) + 0.0 * {b}", ca.OP_FMAX: "({a} if not {a} <= {b} else {b}) + 0.0 * {b}",
     ca.OP_LT: "1.0 if {a} < {b} else 0.0", ca.OP_LE: "1.0 if {a} <= {b} else 0.0",
     ca.OP_EQ: "1.0 if {a} == {b} else 0.0", ca.OP_NE: "1.0 if {a} != {b} else 0.0",
     ca.OP_AND: "1.0 if {a} * {b} != 0.0 else 0.0", ca.OP_OR: "1.0 if abs({a}) + abs({b}) != 0.0 else 0.0",
@@ -243,14 +245,20 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="gain-scheduling-workbench-"))
 
 
+_LOADING = threading.Lock()
+
+
 def load_kernel(source: str) -> ModuleType:
     """Import a kernel module from the cache folder, writing and compiling it where it is new."""
     shared = (Path(__file__).parent / "elementary.py").read_text(encoding="utf-8")
     name = "kernel_" + hashlib.sha256((source + shared).encode()).hexdigest()[:24]
-    if name in sys.modules:
-        return sys.modules[name]
+    with _LOADING:  # a module is listed before it is complete
+        return sys.modules.get(name) or _import(name, source)
+
+
+def _import(name: str, source: str) -> ModuleType:
     path = cache_folder() / f"{name}.py"
-    if not path.exists():
+    if not path.exists() or path.read_text(encoding="utf-8") != source:  # a file cut short by a full disk is mended
         write_text(path, source)
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None

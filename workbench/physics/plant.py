@@ -98,6 +98,16 @@ class Plant:
     description: str = ""
 
     def __post_init__(self):
+        for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
+            if not channels:
+                raise InputError(f"a plant needs at least one {kind}", file=self.name)
+        taken: set[tuple[str, str]] = set()
+        for port in self.ports:
+            if (port.family, port.place) in taken:
+                raise InputError(f"two {port.family} ports at {port.place!r}", file=self.name, mend="give each its own place")
+            taken.add((port.family, port.place))
+            if self.turning.get(port.place) != getattr(port, "speed", self.turning.get(port.place)):
+                raise InputError(f"two speeds at {port.place!r}", file=self.name, mend="a place turns with one speed")
         for name in (*self.noise, *self.disturbance):
             check_known("channel", name, [c.name for c in (*self.inputs, *self.outputs)], file=self.name)
         for name in self.limits:
@@ -161,7 +171,9 @@ class Plant:
         return values
 
     def check_parameters(self, p: np.ndarray) -> None:
-        """Refuse parameter vectors p (R, np) that are not finite, or not positive where they must be."""
+        """Refuse parameter vectors p (R, np) of the wrong length, not finite, or not positive where they must be."""
+        if p.shape[1] != len(self.parameters):
+            raise InputError(f"{p.shape[1]} parameters, expected {len(self.parameters)}", file=self.name)
         for i, q in enumerate(self.parameters):
             bad = ~np.isfinite(p[:, i]) | (~np.isfinite(p[:, i]) if q.signed else ~(p[:, i] > 0.0))
             if bad.any():
@@ -179,12 +191,21 @@ class Plant:
             check_known("effect", key, dict.fromkeys(slot.key for slot in self.slots), file=self.name)
             own = {slot.parameter.name: i for i, slot in enumerate(self.slots) if slot.key == key}
             for name, value in numbers.items():
-                i = own[check_known(f"parameter of {key}", name, own, file=self.name)]
-                p = self.slots[i].parameter
-                if not p.low <= value <= p.high:
-                    raise InputError(f"{value:g} {p.unit} is outside [{p.low:g}, {p.high:g}]", file=f"{key}:{name}")
-                values[i] = value
+                values[own[check_known(f"parameter of {key}", name, own, file=self.name)]] = value
+        self.check_effects(values[None])
         return values
+
+    def check_effects(self, eta: np.ndarray) -> None:
+        """Refuse effect vectors eta (R, ne) of the wrong length or with a number outside its bounds."""
+        if eta.shape[1] != len(self.slots):
+            raise InputError(
+                f"{eta.shape[1]} effect numbers, expected {len(self.slots)}", file=self.name, mend="use effect_vector"
+            )
+        for i, slot in enumerate(self.slots):
+            bad = ~((eta[:, i] >= slot.parameter.low) & (eta[:, i] <= slot.parameter.high))
+            if bad.any():
+                p, value = slot.parameter, eta[int(np.argmax(bad)), i]
+                raise InputError(f"{value:g} {p.unit}", file=str(slot), mend=f"{p.name} lies in [{p.low:g}, {p.high:g}]")
 
     # ---- the equation, on numbers or symbols ------------------------------------------------------------------------
 
@@ -242,6 +263,10 @@ class Plant:
         return Named({place: Named(own) for place, own in verbs.items()})
 
     def _ordered(self, kind: str, values: Mapping[str, Any], names: Sequence[str]) -> list:
+        if not isinstance(values, Mapping):
+            raise InputError(
+                f"returns {type(values).__name__} for the {kind}", file=self.name, mend="return a dictionary by name"
+            )
         for name in values:
             check_known(kind, name, names, file=self.name)
         missing = [name for name in names if name not in values]

@@ -171,7 +171,7 @@ def _block(plant: Plant, kernel: ModuleType, rows: Rows, lanes: Lanes, pick: np.
     W[rows["x"] : rows["x"] + nx] = lanes.start[pick].T
     for name, source in (("p", lanes.parameters), ("eta", lanes.effects), ("g", lanes.gains), ("c", lanes.memory)):
         W[rows.span(name)] = source[pick].T
-    z = np.array(np.broadcast_arrays(*plant.output(lanes.start[pick].T, lanes.parameters[pick].T)))
+    z = np.array([np.broadcast_to(y, L) for y in plant.output(lanes.start[pick].T, lanes.parameters[pick].T)])
     W[rows.span("before")] = z
     W[rows.span("mem")] = np.repeat(z, len(plant.memories) // len(z), axis=0)
     W[rows.span("u")] = lanes.hold[pick].T

@@ -46,7 +46,7 @@ def model(records):
 
 
 def free_run(model, *experiments):
-    return np.mean([s.FIT for s in score(model, Dataset(experiments), "held-out", ["free-run"])])
+    return np.mean([s.FIT for s in score(model, Dataset(experiments), "estimation", ["free-run"])])
 
 
 def test_a_blend_is_found_where_one_lti_model_fails(records, model):
