@@ -8,6 +8,7 @@ import pytest
 import plants
 from plants import PLANTS
 from workbench.physics.controller import Playback
+from workbench.physics.effects.effect import Named
 from workbench.simulate import Scenario, simulate
 
 
@@ -65,6 +66,36 @@ def test_compiled_step_equals_runge_kutta_in_numpy(plant):
             k4 = rate(full + h * k3, inputs[k], t + h)
             full = full + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         np.testing.assert_allclose(run.states.values[k + 1], full[: len(x0)], rtol=1e-11, atol=1e-13)
+
+
+class Bare:
+    """Ports without effects: torque 0, no run-out, no creep."""
+
+    def torque(self, load=0.0):
+        return 0.0
+
+    def runout(self):
+        return Named({"radius": 0.0, "rate": 0.0})
+
+    def creep(self):
+        return 0.0
+
+
+def test_neutral_effects_are_exactly_no_effects(plant):
+    """Every effect of the catalogue at size 0, whatever its shapes, angles and time: the bare equation to the last bit."""
+    places = Named({port.place: Bare() for port in plant.ports})
+    for x, u, p, _, angle, t in points(plant, 5):
+        eta = plant.effect_vector()
+        for i, slot in enumerate(plant.slots):
+            eta[i] = 2.0 * slot.parameter.default if slot.parameter.shape else 0.0
+        state, inputs = dict(zip(plant.state_names, x, strict=True)), dict(zip(plant.input_names, u, strict=True))
+        numbers = dict(zip((q.name for q in plant.parameters), p, strict=True))
+        bare = plant.equation(Named(state), Named(inputs), Named(numbers), places)
+        found = plant.derivative(x, u, p, eta, t=t, angle=angle)
+        assert [float(bare[name]) for name in plant.state_names] == [float(v) for v in found]
+        assert plant.drive(u, eta, t) == list(u)
+        z = np.array(plant.output(x, p), dtype=float)
+        assert np.array_equal(plant.remember(np.repeat(z - 1, 2), z - 1, z, 0.01, eta), np.repeat(z, 2))
 
 
 def test_equilibrium_stands_still(plant):

@@ -7,6 +7,7 @@ called with numbers it runs in numpy, called with CasADi symbols it gives Jacobi
 compiled stepper. `x`, `u`, `p` hold values by name; `at.<place>` offers what the effects at a port contribute.
 """
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -380,15 +381,19 @@ class Plant:
         return z[:, :nx], z[:, nx:]
 
 
+_TRACING = threading.RLock()
+
+
 @contextmanager
 def symbolic_numpy():
-    """numpy ufuncs accept CasADi symbols inside, whatever the global setting of CasADi is."""
-    before = ca.GlobalOptions.getNumpyMode()
-    ca.GlobalOptions.setNumpyMode(1)
-    try:
-        yield
-    finally:
-        ca.GlobalOptions.setNumpyMode(before)
+    """numpy ufuncs accept CasADi symbols inside, whatever the global setting of CasADi is; one thread at a time."""
+    with _TRACING:
+        before = ca.GlobalOptions.getNumpyMode()
+        ca.GlobalOptions.setNumpyMode(1)
+        try:
+            yield
+        finally:
+            ca.GlobalOptions.setNumpyMode(before)
 
 
 def _column(values: Sequence) -> ca.SX:

@@ -285,3 +285,17 @@ def test_bad_input_is_refused_with_its_place_and_mend():
     ):
         with pytest.raises(InputError, match=problem):
             SSM(**options).fit(records)
+
+
+@BOTH
+def test_intervals_hold_the_truth_when_nobody_knows_the_noise(bound):
+    """mu from the residuals alone: over 40 records 95 % of the intervals hold the true coefficient, right basis and order."""
+    inside = []
+    for seed in range(40):
+        e, _ = simulated(third_order, seed, N=200, noise=0.05)
+        options = SSM(order=3, bound=bound, mu_factor=1.05, basis=BASIS, operating_point=RAW)
+        model = options.fit(Dataset((e,)))
+        if set(THIRD_ORDER) <= {c.name for c in model.estimates}:  # otherwise zeros off the support are not the truth
+            inside += [c.low <= THIRD_ORDER.get(c.name, 0.0) <= c.high for c in model.estimates]
+    assert len(inside) > 70
+    assert np.mean(inside) >= 0.95

@@ -1,5 +1,7 @@
 """The compiled stepper against independent integrators and against what each effect must do."""
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +10,12 @@ from scipy.integrate import solve_ivp
 
 from plants import POSITIONING_AXIS, WEB_WINDING, WELDING_ROBOT
 from studies.experiments import plan, web_winding_loops
+from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.physics import kernel
 from workbench.physics.controller import Playback
+from workbench.physics.effects.shaft import Shaft
+from workbench.physics.plant import Plant
 from workbench.simulate import Scenario, replay, simulate, simulate_batch
 
 LOOPS = web_winding_loops()
@@ -269,3 +274,100 @@ def test_plans_of_every_machine_run():
             chosen = plan(plant, name)
             run = simulate(PLANTS[plant], chosen.controller, chosen.scenario(1))
             assert len(run.experiment) >= 2000
+
+
+# ---- what must never pass for a number ---------------------------------------------------------------------------------
+
+
+def one_state(rate, **options):
+    """x' = rate(x), y = x, from x = start."""
+    return Plant(
+        "one",
+        (Channel("x", "m"),),
+        (Channel("u", "V", "input"),),
+        (Channel("y", "m", "output"),),
+        (),
+        lambda x, u, p, at: {"x": rate(x.x) + 0.0 * u.u},
+        lambda x, p: {"y": x.x},
+        dt=0.1,
+        **options,
+    )
+
+
+@pytest.mark.parametrize(
+    ("rate", "start"),
+    [(lambda x: -np.tanh(np.sqrt(x)) - 0.1, 0.2), (lambda x: np.minimum(np.sqrt(x), 1.0) - 1.0, 0.05), (lambda x: x**2 + 1, 1.0)],
+    ids=["tanh", "minimum", "overflow"],
+)
+def test_not_a_number_stays_not_a_number_in_the_compiled_engine(rate, start):
+    """numpy gives NaN or infinity here; a compiled clamp must not turn that into a plausible value."""
+    plant, scenario = one_state(rate), Scenario("s", {"u": np.zeros(60)}, start={"x": start})
+    with pytest.raises(InputError, match=r"channel x: (nan|inf|-inf)"):
+        simulate(plant, Playback(("u",), 0.1), scenario)
+    batch = simulate_batch(plant, Playback(("u",), 0.1), [scenario, Scenario("still", {"u": np.zeros(60)}, start={"x": start})])
+    lost = np.isnan(batch.states[0, :, 0])
+    assert lost[-1]
+    assert np.array_equal(np.isnan(batch.measured[0, :, 0]), lost)
+    assert np.array_equal(np.isnan(batch.commands[0, :, 0]), lost)
+
+
+def test_a_batch_marks_runs_that_leave_the_plants_limits():
+    plant = one_state(lambda x: 1.0 + 0.0 * x, limits={"x": (-1.0, 2.05)})
+    each = [Scenario("s", {"u": np.zeros(30)}, start={"x": x}) for x in (-0.5, 1.0)]
+    batch = simulate_batch(plant, Playback(("u",), 0.1), each)
+    # x rises by 0.1 a sample: the first passes 2.05 at sample 26, the second at 11
+    assert [int(np.isnan(run[:, 0]).argmax()) for run in batch.states] == [26, 11]
+    assert np.isfinite(batch.states[0, :26]).all()
+
+
+def test_batches_refuse_impossible_numbers():
+    loop, scenario = Playback(("u",), 0.02), Scenario("s", {"u": np.zeros(5)})
+    eta = WELDING_ROBOT.effect_vector()
+    eta[[str(slot) for slot in WELDING_ROBOT.slots].index("input-delay@u:time")] = -0.1
+    with pytest.raises(InputError, match=r"input-delay@u:time: -0.1 s"):
+        simulate_batch(WELDING_ROBOT, loop, scenario, effects=eta)
+    with pytest.raises(InputError, match="expected 5"):
+        simulate_batch(WELDING_ROBOT, loop, scenario, parameters=np.ones((3, 4)))
+    with pytest.raises(InputError, match="m1 = -1 kg"):
+        simulate_batch(WELDING_ROBOT, loop, scenario, parameters=WELDING_ROBOT.nominal * [-1, 1, 1, 1, 1])
+    with pytest.raises(InputError, match="substeps -1"):
+        simulate(WELDING_ROBOT, loop, scenario, substeps=-1)
+
+
+def test_a_kernel_file_that_was_cut_short_is_mended(tmp_path, monkeypatch):
+    kernel.cache_folder.cache_clear()
+    monkeypatch.setenv("WORKBENCH_CACHE", str(tmp_path))
+    plant, scenario = one_state(lambda x: -2.5 * x), Scenario("s", {"u": np.zeros(5)}, start={"x": 1.0})
+    first = simulate(plant, Playback(("u",), 0.1), scenario).states.values
+    (path,) = kernel.cache_folder().glob("kernel_*.py")
+    whole = path.read_text()
+    path.write_text(whole[:200])
+    sys.modules.pop(path.stem)
+    again = simulate(one_state(lambda x: -2.5 * x), Playback(("u",), 0.1), scenario).states.values
+    assert np.array_equal(first, again)
+    assert path.read_text() == whole
+    kernel.cache_folder.cache_clear()
+
+
+def test_threads_that_meet_a_new_plant_together_all_get_its_kernel():
+    plant, scenario = one_state(lambda x: -1.7 * x), Scenario("s", {"u": np.zeros(5)}, start={"x": 1.0})
+    with ThreadPoolExecutor(4) as pool:
+        runs = list(pool.map(lambda _: simulate(plant, Playback(("u",), 0.1), scenario).states.values, range(4)))
+    assert all(np.array_equal(run, runs[0]) for run in runs)
+
+
+def test_malformed_plants_are_refused_by_name():
+    good = one_state(lambda x: -x)
+    for change, said in (
+        ({"states": ()}, "at least one state"),
+        ({"inputs": ()}, "at least one input"),
+        ({"outputs": ()}, "at least one output"),
+        ({"ports": (Shaft("a", "x"), Shaft("a", "x"))}, "two shaft ports"),
+    ):
+        with pytest.raises(InputError, match=said):
+            replace(good, **change)
+    listing = replace(good, equation=lambda x, u, p, at: [x.x])
+    with pytest.raises(InputError, match="returns list"):
+        simulate(listing, Playback(("u",), 0.1), Scenario("s", {"u": np.zeros(3)}))
+    constant = replace(good, measure=lambda x, p: {"y": 3})
+    assert simulate(constant, Playback(("u",), 0.1), Scenario("s", {"u": np.zeros(3)})).experiment["y"].tolist() == [3.0] * 3
