@@ -82,7 +82,7 @@ def residual_test(model: LPVModel, experiment: Experiment, *, lags: int = 25, cl
         raise InputError(
             f"{len(experiment) - warmup} samples after the warm-up for {lags} lags",
             file=experiment.name,
-            mend="use a longer record or fewer lags",
+            mend="use a longer record or, in Python, fewer lags",
         )
     names = [c.name for c in model.outputs]
     e = (experiment[names] - model.predict(experiment))[warmup:]

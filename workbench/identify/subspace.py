@@ -194,7 +194,7 @@ def _windows(dataset: Dataset, past: int, ahead: int) -> Windows:
         raise InputError(
             f"{len(together)} samples leave {len(table)} windows of {length} for {table.shape[1]} unknowns an output",
             file=dataset.experiments[0].name,
-            mend="use longer records, or smaller past and future",
+            mend="use longer records, or smaller windows: PBSID(past=, future=) in Python",
         )
     mean = table.mean(axis=0)
     triangle = _triangle(table - mean)

@@ -184,7 +184,7 @@ def test_an_integrator_is_found_and_its_operating_point_makes_sense():
 
 @METHODS
 def test_bad_input_names_the_mend(method):
-    with pytest.raises(InputError, match="smaller past"):
+    with pytest.raises(InputError, match="smaller windows"):
         method.fit(Dataset((run(80, 0),)))
     record = run(500, 0)
     still = dataclasses.replace(record, values=record.values * np.array([1.0, 0.0, 1.0, 1.0]))
