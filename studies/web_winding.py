@@ -325,7 +325,7 @@ def _report(
         Section("Scores", (*_score_blocks(records, scores, models, simulated), _band_table(records, identified))),
         Section("Measured and simulated", tuple(traces(e, identified.models, OUTPUT) for e in shown)),
         Section("What the models rest on", tuple(_evidence(records, identified, simulated))),
-        Section("Residuals", (residual_table(identified.models, records.held_out, closed_loop=True),)),
+        Section("Residuals", (residual_table(identified.models, records.held_out, closed_loop=True if simulated else None),)),
         Section("Data", (_data_table(records), *_advice_blocks(records))),
         Section("Provenance", (Provenance(source),)),
     ]

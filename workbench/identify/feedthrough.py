@@ -18,6 +18,9 @@ def acts_at_once(dataset: Dataset, order: int = 4) -> bool:
     without them, the free run must gain 10 points of FIT (mean over outputs), in open loop 2.
     """
     first = dataset.experiments[0]
+    unknowns = order * len(first.names_of("output")) + (order + 1) * len(first.names_of("input")) + 1
+    if min(len(e) for e in dataset) < 2 * unknowns + order:  # too short to tell; the method says so itself
+        return False
     if any(e.names_of("reference") for e in dataset) or not (first.names_of("input") and first.names_of("output")):
         return False
     gain = _free_run_fit(dataset, order, first=0) - _free_run_fit(dataset, order, first=1)

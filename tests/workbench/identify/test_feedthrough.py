@@ -61,3 +61,19 @@ def test_scheduled_ssm_with_feedthrough_realises_its_recursion():
     assert np.std(error) < 0.05 * np.std(e["y"])
     one_step = model.predict(e)[5:, 0] - e["y"][5:]
     assert np.std(one_step) < 0.03 * np.std(e["y"])
+
+
+def test_a_record_too_short_to_tell_has_none():
+    assert not acts_at_once(Dataset((experiment(1, 2.0, N=12),)))
+
+
+def test_in_closed_loop_without_set_points_a_small_gain_is_not_enough(monkeypatch):
+    """Between 2 and 10 points of FIT: open loop says feed-through, feedback says noise in the inputs."""
+    from workbench.identify import feedthrough
+
+    data = Dataset((experiment(3, 2.0),))
+    monkeypatch.setattr(feedthrough, "_free_run_fit", lambda _, __, first: 60.0 if first else 65.0)
+    for closed, expected in ((False, True), (True, False)):
+        found = type("Found", (), {"detected": closed})()
+        monkeypatch.setattr(feedthrough, "feedback", lambda _, found=found: found)
+        assert acts_at_once(data) is expected
