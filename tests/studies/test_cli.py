@@ -165,10 +165,12 @@ def test_numbers_out_of_range_are_refused_by_name(capsys, records, tmp_path):
         assert f"'{order}' is not a whole number from 1 on" in refused(capsys, "identify", a, f"--order={order}")
     assert "'-5' is not a whole number from 0 on" in refused(capsys, "study", "web-winding", "--seed=-5")
     simulate = ("simulate", "web-winding", "--experiment", "rbs", "--out", str(tmp_path))
-    for value, meaning in (("J0=-1", "inertia"), ("J0=inf", "inertia"), ("Ra=0", "resistance"), ("dancer=nan", "dancer")):
+    for value, meaning in (("J0=-1", "inertia"), ("Ra=0", "resistance"), ("dancer=-0.01", "dancer")):
         message = refused(capsys, *simulate, "--parameter", value)
         assert meaning in message
         assert "greater than 0" in message
+    assert "'J0=inf' is not finite" in refused(capsys, *simulate, "--parameter", "J0=inf")
+    assert "'w3=nan' is not finite" in refused(capsys, *simulate, "--start", "w3=nan")
     assert "given twice" in refused(capsys, *simulate, "--parameter", "J0=3e-5", "--parameter", "J0=4e-5")
     assert "named twice" in refused(capsys, "identify", a, "--inputs", "V1,V1")
     assert "named twice" in refused(capsys, "simulate", "web-winding", "--experiment", "rbs", "rbs")

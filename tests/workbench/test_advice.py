@@ -170,7 +170,7 @@ def test_too_short_depends_on_the_order_asked():
 
 
 def test_the_span_of_the_schedule_is_that_of_all_records():
-    low, high = made(NOISE, r2=np.linspace(0.05, 0.07, 1000)), made(NOISE, r2=np.linspace(0.1, 0.12, 1000))
+    low, high = made(NOISE, r2=np.linspace(0.05, 0.07, 1000)), made(2 * NOISE, r2=np.linspace(0.1, 0.12, 1000))
     (found,) = [a for a in advice(Dataset((low, high))) if a.kind == "schedule-span"]
     assert "from 0.05 to 0.12" in found.sentence
     assert found.severity == "note"

@@ -195,7 +195,7 @@ def test_records_that_do_not_fit_are_refused_with_both_names():
         Dataset((make("a", w3="rpm"), make("b", w3="rad/s")))
     with pytest.raises(InputError, match="a and b, channel w3: is output in one"):
         Dataset((make("a"), make("b").with_roles(inputs=["V1", "V2", "w3"])))
-    Dataset((make("a", w3="rpm"), make("b", dt=0.1 * (1 + 1e-6))))  # a missing unit and a rounded sample time fit
+    Dataset((make("a", w3="rpm"), make("b", 21, dt=0.1 * (1 + 1e-6))))  # a missing unit and a rounded sample time fit
 
 
 def test_a_set_has_records_names_and_a_sample_time():
