@@ -37,7 +37,7 @@ def progress(text: str) -> None:
 
 
 def simulate(options: Namespace) -> int:
-    """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and says where."""
+    """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and states/<record>.csv."""
     from studies.experiments import EXPERIMENTS, plan
     from workbench.simulate import replay
     from workbench.simulate import simulate as run_plant
@@ -74,7 +74,7 @@ def simulate(options: Namespace) -> int:
         if kind == "record" and path.resolve() == Path(name).resolve():
             raise InputError("the simulated record would overwrite the measured one", file=path, mend="choose another --out")
         write_csv(done.experiment, path)
-        write_csv(done.states, folder / f"{done.experiment.name}_states.csv")
+        write_csv(done.states, folder / "states" / f"{done.experiment.name}.csv")  # apart: the folder is a set of records
         say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
         entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps}
         if kind == "record":

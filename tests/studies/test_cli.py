@@ -48,6 +48,9 @@ def test_simulated_records_hold_what_the_loop_did(records):
     assert set(np.unique(e["w3_set"])) == {79.0, 121.0}
     assert len(e) == 2250
     assert e.dt == pytest.approx(0.04)
+    # what the sensors do not see lies apart, so that the folder can be given to a study as it is
+    assert {path.name for path in records.glob("*.csv")} == {"prbs1.csv", "rbs.csv", "rgs.csv"}
+    assert read(records / "states" / "prbs1.csv").names == ("w1", "w2", "w3", "T1", "T2", "r1", "r2")
     summary = json.loads((records / "simulate.json").read_text())
     assert summary["provenance"]["seed"] == 7
     assert summary["provenance"]["versions"]["numpy"] == np.__version__

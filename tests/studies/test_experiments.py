@@ -4,6 +4,7 @@ import pytest
 from plants import POSITIONING_AXIS, WEB_WINDING
 from studies.experiments import EXPERIMENTS
 from workbench.errors import InputError
+from workbench.excitation import prbs
 from workbench.physics.controller import Playback
 from workbench.simulate import Scenario, simulate, simulate_batch
 
@@ -64,3 +65,11 @@ def test_another_seed_is_another_experiment_and_two_experiments_share_no_noise()
     for name in ("rbs", "sine", "rgs"):
         assert not np.array_equal(plans[name].scenario(1).references["w3_set"], plans[name].scenario(2).references["w3_set"])
     assert len({plans[name].scenario(s).seed for name in PEAKS for s in (1, 2)}) == 10
+
+
+def test_the_two_loops_follow_one_sequence_half_a_period_apart():
+    """[1] uses one 4095-step sequence: the dancer's set-point is the speed's, 2048 steps later, and not mirrored."""
+    sets = EXPERIMENTS["web-winding"]["prbs1"].scenario(1).references
+    whole = prbs(4095)
+    np.testing.assert_array_equal((sets["w3_set"] - 100) / 21, np.repeat(whole, 5)[:2250])
+    np.testing.assert_array_equal(sets["theta_set"] / 3.5, np.repeat(np.roll(whole, -2048), 5)[:2250])
