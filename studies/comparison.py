@@ -18,7 +18,7 @@ def traces(e: Experiment, models: Mapping[str, LPVModel], output: str) -> Pictur
     simulated, schedule = {}, None
     for name, model in models.items():
         run = model.simulate(e)[:, [c.name for c in model.outputs].index(output)]
-        run[: model.predictor.warmup if model.predictor else 0] = np.nan  # the initial state is found there
+        run[: model.warmup] = np.nan  # the initial state is found there
         simulated[name] = run
         if model.schedule:
             schedule = figures.Trace(e.channel(model.schedule.name), e[model.schedule.name])

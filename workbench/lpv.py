@@ -180,6 +180,11 @@ class LPVModel:
             raise InputError("channel lists do not match B and C", file=self.name)
 
     @property
+    def warmup(self) -> int:
+        """Samples after which the predictor has forgotten its initial state: rows before that are never scored."""
+        return self.predictor.warmup if self.predictor else 0
+
+    @property
     def order(self) -> int:
         return self.A.shape[1]
 
@@ -247,7 +252,7 @@ class LPVModel:
         Default: the predictor's own memory; 0 starts from the operating point.
         """
         u, y, weight = self._deviations(experiment)
-        n = (self.predictor.warmup if self.predictor else 0) if warmup is None else warmup
+        n = self.warmup if warmup is None else warmup
         x = self._predictor_states(u[:n], y[:n], weight[:n])
         out = np.empty((len(u), len(self.outputs)))
         state = x[-1]
@@ -269,7 +274,7 @@ class LPVModel:
         """
         u, y, weight = self._deviations(experiment)
         states = self._predictor_states(u, y, weight)[:-1]
-        N, first = len(u), self.predictor.warmup if self.predictor else 0
+        N, first = len(u), self.warmup
         out = np.empty((N, len(self.outputs)))
         for begin in range(0, N, CHUNK):
             x = states[begin : begin + CHUNK]

@@ -17,6 +17,11 @@ Split = Literal["estimation", "held-out"]
 Horizon = Literal["free-run", "one-step"] | int
 
 
+def horizon_name(horizon: Horizon) -> str:
+    """free-run, one-step, 25-step."""
+    return f"{horizon}-step" if isinstance(horizon, int) else horizon
+
+
 def fit(y: np.ndarray, simulated: np.ndarray) -> float:
     """FIT = 100 (1 - ||y - ys||_2 / ||y - mean(y)||_2) of one channel, (N,): 100 is perfect, 0 no better than the mean.
 
@@ -76,7 +81,7 @@ class Score:
     unit: str
 
     def __str__(self) -> str:
-        horizon = f"{self.horizon}-step" if isinstance(self.horizon, int) else self.horizon
+        horizon = horizon_name(self.horizon)
         return (
             f"{self.model} on {self.record} ({self.split}), {self.output}, {horizon}: "
             f"FIT {self.FIT:.1f} %, RM {self.RM:.1f} %, RMSE {self.RMSE:.4g} {self.unit}".rstrip()
@@ -97,7 +102,7 @@ def score(
     Raises InputError for a record that is no longer than the warm-up, for any other horizon, for a constant output, and where
     a record called held-out is one that the model was made from.
     """
-    warmup = model.predictor.warmup if model.predictor else 0
+    warmup = model.warmup
     scores = []
     for experiment in dataset:
         if split == "held-out" and experiment.fingerprint in model.trained_on:
@@ -116,7 +121,7 @@ def score(
             simulated = _run(model, experiment, horizon)
             for i, channel in enumerate(model.outputs):
                 y, ys = experiment[channel.name][warmup:], simulated[warmup:, i]
-                if np.ptp(y) <= 1e-12 * np.abs(y).max():
+                if _constant(y):
                     raise InputError(
                         "constant: FIT and RM compare with its variation",
                         file=experiment.name,
@@ -152,12 +157,16 @@ def _run(model: LPVModel, experiment, horizon: Horizon) -> np.ndarray:
     return model.predict(experiment, steps)
 
 
+def _constant(y: np.ndarray) -> bool:
+    return bool(np.max(np.abs(y - y.mean()), initial=0.0) <= 1e-12 * np.max(np.abs(y), initial=1e-300))
+
+
 def _compared(y: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     y, simulated = np.asarray(y, float), np.asarray(simulated, float)
     if y.shape != simulated.shape or y.ndim != 1:
         raise InputError(f"measured {y.shape} and simulated {simulated.shape}, expected two channels of one length")
     span = y - y.mean()
-    if np.max(np.abs(span), initial=0.0) <= 1e-12 * np.max(np.abs(y), initial=1e-300):
+    if _constant(y):
         raise InputError("the measured output is constant: FIT and RM compare with its variation")
     with np.errstate(invalid="ignore", over="ignore"):
         return y, y - simulated, span

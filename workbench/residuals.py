@@ -77,7 +77,7 @@ def residual_test(model: LPVModel, experiment: Experiment, *, lags: int = 25, cl
     The p-values hold for records that the model was not estimated on; on those that it was, they are too large.
     Raises InputError for fewer than four times `lags` samples after the warm-up.
     """
-    warmup = model.predictor.warmup if model.predictor else 0
+    warmup = model.warmup
     if len(experiment) - warmup < 4 * lags:
         raise InputError(
             f"{len(experiment) - warmup} samples after the warm-up for {lags} lags",

@@ -176,7 +176,7 @@ class Plant:
         if p.shape[1] != len(self.parameters):
             raise InputError(f"{p.shape[1]} parameters, expected {len(self.parameters)}", file=self.name)
         for i, q in enumerate(self.parameters):
-            bad = ~np.isfinite(p[:, i]) | (~np.isfinite(p[:, i]) if q.signed else ~(p[:, i] > 0.0))
+            bad = ~np.isfinite(p[:, i]) | ((p[:, i] <= 0.0) & (not q.signed))
             if bad.any():
                 value = p[int(np.argmax(bad)), i]
                 raise InputError(
@@ -290,7 +290,7 @@ class Plant:
     def traced(self) -> ca.Function:
         """(x, u, p, eta, angle, t) -> (dx, y) as a CasADi function: the same equation on symbols."""
         s = self.symbols
-        split = {name: ca.vertsplit(symbol) if symbol.numel() else [] for name, symbol in s.items()}
+        split = {name: entries(symbol) for name, symbol in s.items()}
         try:
             with symbolic_numpy():
                 dx = self.derivative(split["x"], split["u"], split["p"], split["eta"], t=s["t"], angle=split["angle"])
@@ -303,7 +303,7 @@ class Plant:
                 file=self.name,
                 mend="write np.minimum, np.maximum or a smooth function such as np.tanh",
             ) from None
-        return ca.Function(self._identifier, list(s.values()), [_column(dx), _column(y)], list(s), ["dx", "y"])
+        return ca.Function(self._identifier, list(s.values()), [column(dx), column(y)], list(s), ["dx", "y"])
 
     @property
     def _identifier(self) -> str:
@@ -396,5 +396,11 @@ def symbolic_numpy():
             ca.GlobalOptions.setNumpyMode(before)
 
 
-def _column(values: Sequence) -> ca.SX:
-    return ca.vertcat(*(ca.SX(value) for value in values))
+def entries(symbol: ca.SX) -> list[ca.SX]:
+    """The scalars of a symbolic column."""
+    return ca.vertsplit(symbol) if symbol.numel() else []
+
+
+def column(values: Sequence) -> ca.SX:
+    """A symbolic column of scalars, numbers among them."""
+    return ca.vertcat(*(ca.SX(value) for value in values)) if values else ca.SX(0, 1)

@@ -17,7 +17,7 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.physics.controller import Controller
 from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, kernel_source, load_kernel, print_function
-from workbench.physics.plant import Plant, symbolic_numpy
+from workbench.physics.plant import Plant, column, entries, symbolic_numpy
 from workbench.records import field, record
 
 
@@ -83,40 +83,32 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
 def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     """The traced functions of a step. `nominal` is `affected` with neutral effects, which vanish from it: it runs faster."""
     s, nx = plant.symbols, len(plant.states)
-    x, u, p, eta = (_split(s[name]) for name in ("x", "u", "p", "eta"))
+    x, u, p, eta = (entries(s[name]) for name in ("x", "u", "p", "eta"))
     rates = [x[plant.state_names.index(speed)] for speed in plant.turning.values()]
+    neutral = s | {"eta": ca.SX(plant.effect_vector())}
+    slope = {
+        name: ca.vertcat(plant.traced(*arguments.values())[0], *rates)
+        for name, arguments in (("affected", s), ("nominal", neutral))
+    }
     mem, before = ca.SX.sym("mem", len(plant.memories)), ca.SX.sym("before", len(plant.outputs))
     full, h = ca.SX.sym("full", nx), ca.SX.sym("h")
     c, r = ca.SX.sym("c", len(controller.init())), ca.SX.sym("r", len(controller.references))
     y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
     with symbolic_numpy():
-        angle = _split(s["angle"])
-        slope = {
-            name: _join([*plant.derivative(x, u, p, sizes, t=s["t"], angle=angle), *rates])
-            for name, sizes in (("affected", eta), ("nominal", plant.effect_vector()))
-        }
-        after = plant.output(_split(full), p)
-        memory = plant.remember(_split(mem), _split(before), after, h, eta)
+        after = plant.output(entries(full), p)
+        memory = plant.remember(entries(mem), entries(before), after, h, eta)
         acting = plant.drive(u, eta, s["t"])
-        at = [_split(y)[plant.output_names.index(name)] for name in controller.measured]
-        rho = _split(y)[plant.output_names.index(controller.schedule)] if controller.schedule else None
-        command, state = controller.law(_split(g), _split(c), _split(r), at, rho)
+        at = [entries(y)[plant.output_names.index(name)] for name in controller.measured]
+        rho = entries(y)[plant.output_names.index(controller.schedule)] if controller.schedule else None
+        command, state = controller.law(entries(g), entries(c), entries(r), at, rho)
     inputs = dict(zip(plant.input_names, u, strict=True)) | dict(zip(controller.actuated, command, strict=True))
     return {
-        "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), _join(state)]),
-        "drive": ca.Function("drive", [s["u"], s["eta"], s["t"]], [_join(acting)]),
+        "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), column(state)]),
+        "drive": ca.Function("drive", [s["u"], s["eta"], s["t"]], [column(acting)]),
         "affected": ca.Function("affected", list(s.values()), [slope["affected"]]),
         "nominal": ca.Function("nominal", [s[name] for name in ("x", "u", "p", "angle", "t")], [slope["nominal"]]),
-        "remember": ca.Function("remember", [mem, before, full, h, s["p"], s["eta"]], [_join(memory), _join(after)]),
+        "remember": ca.Function("remember", [mem, before, full, h, s["p"], s["eta"]], [column(memory), column(after)]),
     }
-
-
-def _split(symbol: ca.SX) -> list[ca.SX]:
-    return ca.vertsplit(symbol) if symbol.numel() else []
-
-
-def _join(values: list) -> ca.SX:
-    return ca.vertcat(*(ca.SX(value) for value in values)) if values else ca.SX(0, 1)
 
 
 def cores() -> int:

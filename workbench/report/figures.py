@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from workbench.data import GAP, Channel
-from workbench.metrics import Horizon, Score
+from workbench.metrics import Horizon, Score, horizon_name
 from workbench.records import RecordError, field, record
 from workbench.report.decimate import extremes
 from workbench.report.page import SUPERSCRIPT, Column, Data, Picture
@@ -321,7 +321,7 @@ def score_dots(scores: Iterable[Score], output: str, horizon: Horizon = "free-ru
     rows = dict(sorted(table.items(), key=lambda item: item[0][1] != "held-out"))
     models = list(dict.fromkeys(model for fits in rows.values() for model in fits))
     curves = {model: np.array([fits.get(model, math.nan) for fits in rows.values()]) for model in models}
-    said = f"{horizon}-step" if isinstance(horizon, int) else horizon
+    said = horizon_name(horizon)
     with _style():
         figure = Figure((WIDTH, 0.9 + 0.42 * len(rows)), layout="constrained")
         axes = figure.subplots()
