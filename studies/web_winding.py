@@ -26,7 +26,7 @@ from workbench.identify.lti import LTI
 from workbench.identify.ssm import SSM, Candidate, SSMSweep
 from workbench.identify.subspace import PBSID
 from workbench.lpv import LPVModel
-from workbench.metrics import Score, fit, score, to_json
+from workbench.metrics import Score, fit, horizon_name, score, to_json
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_all, write_csv
 from workbench.records import record
@@ -40,6 +40,7 @@ EXPERIMENTS = ("prbs1", "prbs2", "rbs", "sine", "rgs")
 ESTIMATION = ("prbs1", "rbs")
 INPUTS, OUTPUT, SCHEDULE = ("V1", "V2"), "w3", "r2"
 HORIZONS = ("free-run", "one-step", 25)
+BANDS = 5  # of the radius, in which errors are told apart
 
 # [1] Tables 1.1 and 1.2 as printed. The LTI row of Table 1.2 repeats Table 1.1, and the ILM row of Table 1.1 equals its
 # LTI row: both look like slips of the print and are quoted as they stand.
@@ -82,6 +83,26 @@ class Identified:
     chosen: Candidate
 
 
+@record
+class Judged:
+    """What the answer rests on, computed once: scores, advice on the data, and errors by radius on the held-out records.
+
+    edges (BANDS + 1) of r2 [m]; errors: RMSE by band and model; machine: FIT of the true machine by record, None where nobody
+    knows it.
+    """
+
+    scores: tuple[Score, ...]
+    advice: tuple[Advice, ...]
+    edges: np.ndarray
+    errors: dict[str, list[float]]
+    machine: dict[str, float] | None
+
+    @property
+    def warnings(self) -> list[Advice]:
+        """Warnings about the data, the one that every controlled loop is a closed one apart."""
+        return [a for a in self.advice if a.severity == "warning" and a.kind != "feedback"]
+
+
 def main(
     quick: bool = False,
     *,
@@ -95,7 +116,8 @@ def main(
     """Run the study and write records, models, scores and the report into `folder`; returns the report's path."""
     records = _read(Path(data)) if data else _simulate(seed, folder, progress)
     identified = _identify(records, quick, progress)
-    scores = _score(identified, records, progress)
+    progress("scoring")
+    judged = _judge(identified, records, simulated=data is None)
     for name, model in identified.models.items():
         model.save(folder / f"{name.lower()}.json")
     configuration = {
@@ -106,17 +128,18 @@ def main(
     }
     source = provenance(configuration, records.files, None if data else seed)
     results = [
-        (model, f"{name.lower()}.json", [s for s in scores if s.model == model.name]) for name, model in identified.models.items()
+        (model, f"{name.lower()}.json", [s for s in judged.scores if s.model == model.name])
+        for name, model in identified.models.items()
     ]
     content = to_json(results, source)
     write_json(folder / "scores.json", content)
     if json:
         write_json(json, content)
     progress("report")
-    report = _report(records, identified, scores, source, data is None, quick)
+    report = _report(records, identified, judged, source, quick)
     path = write_report(report, folder)
-    _say_tables(records, scores, say, data is None)
-    for warning in _warnings(records):
+    _say_tables(records, judged, say)
+    for warning in judged.warnings:
         say(f"warning: {warning.record}, {warning.channel}: {warning.sentence}")
     say(f"\n{report.verdict}\n\nreport: {path}")
     return path
@@ -183,8 +206,18 @@ def _identify(records: Records, quick: bool, progress: Say) -> Identified:
     return Identified(models, seconds, PBSID().fit(records.estimation).singular_values, sweep, best)
 
 
-def _score(identified: Identified, records: Records, progress: Say) -> tuple[Score, ...]:
-    progress("scoring")
+def _judge(identified: Identified, records: Records, *, simulated: bool) -> Judged:
+    edges = np.linspace(*_span(records.held_out), BANDS + 1)
+    return Judged(
+        _score(identified, records),
+        advice(Dataset(records.all)),
+        edges,
+        {name: _band_errors(model, records.held_out, edges) for name, model in identified.models.items()},
+        {e.name: _machine_fit(e) for e in records.all} if simulated else None,
+    )
+
+
+def _score(identified: Identified, records: Records) -> tuple[Score, ...]:
     scores: tuple[Score, ...] = ()
     for model in identified.models.values():
         scores += score(model, records.estimation, "estimation", HORIZONS)
@@ -210,8 +243,9 @@ def _score_rows(records: Records, scores: tuple[Score, ...], horizon, measure: s
     ]
 
 
-def _say_tables(records: Records, scores: tuple[Score, ...], say: Say, simulated: bool) -> None:
+def _say_tables(records: Records, judged: Judged, say: Say) -> None:
     """Tables 1.1 and 1.2 of [1]; on the reference machine with the printed numbers beside ours."""
+    simulated = judged.machine is not None
     for title, measure, printed in (("1.1  FIT", "FIT", PRINTED_FIT), ("1.2  RM", "RM", PRINTED_RM)):
         say(f"\nTable {title} [%], {OUTPUT}, free run" + "; in brackets as printed in [1] for another machine" * simulated)
         say(f"{'':6}" + "".join(f"{e.name:>15}" for e in records.all))
@@ -219,22 +253,21 @@ def _say_tables(records: Records, scores: tuple[Score, ...], say: Say, simulated
             cells = []
             for e in records.all:
                 quoted = f" ({printed[model][EXPERIMENTS.index(e.name)]:3d})" if simulated else ""
-                cells.append(f"{_value(scores, model, e.name, 'free-run', measure):{15 - len(quoted)}.1f}{quoted}")
+                cells.append(f"{_value(judged.scores, model, e.name, 'free-run', measure):{15 - len(quoted)}.1f}{quoted}")
             say(f"{model:6}" + "".join(cells))
         say(f"{'':6}" + "".join(f"{records.split(e.name):>15}" for e in records.all))
     if simulated:
         say(f"\n{PRINTED_NOTE}")
 
 
-def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...], simulated: bool, quick: bool) -> str:
+def _verdict(identified: Identified, judged: Judged, quick: bool) -> str:
     """What a reader needs first: which model, how good on unseen records, where it is weak, and what to doubt."""
-    ranges, worst = {}, {}
+    held = [s for s in judged.scores if s.split == "held-out" and s.horizon == "free-run"]
+    ranges = {}
     for model in identified.models:
-        held = [s.FIT for s in scores if s.model == model and s.split == "held-out" and s.horizon == "free-run"]
-        ranges[model] = (min(held), max(held))
-        bands = _band_errors(identified.models[model], records.held_out)
-        worst[model] = float(np.nanmax(bands) / np.nanmin(bands))
-    count = sum(1 for s in scores if s.split == "held-out" and s.horizon == "free-run") // len(ranges)
+        own = [s.FIT for s in held if s.model == model]
+        ranges[model] = (min(own), max(own))
+    count = len(held) // len(ranges)
     best = max(ranges, key=lambda model: ranges[model][0])
     said = "; ".join(f"{model} {low:.1f}" + f" to {high:.1f}" * (count > 1) + " %" for model, (low, high) in ranges.items())
     text = (
@@ -247,9 +280,10 @@ def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...]
         text += f"{best} describes the machine best over the whole reel"
         chosen = identified.chosen
         text += f"; it keeps {chosen.support} coefficients at order {chosen.order}. " if best == "SSM" else ". "
-        text += f"Its error is {worst[best]:.1f} times larger in the worst part of the reel than in the best. "
-    if simulated:
-        ceilings = [_machine_fit(e) for e in records.all]
+        worst = float(np.nanmax(judged.errors[best]) / np.nanmin(judged.errors[best]))
+        text += f"Its error is {worst:.1f} times larger in the worst part of the reel than in the best. "
+    if judged.machine is not None:
+        ceilings = judged.machine.values()
         text += (
             f"The true machine itself, driven by the logged voltages, reaches {min(ceilings):.1f} to {max(ceilings):.1f} %: "
             "the rest is sensor noise and disturbances that nobody logged. "
@@ -257,7 +291,7 @@ def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...]
     unstable = [name for name, model in identified.models.items() if not model.stability().stable]
     if unstable:
         text += f"Unstable over its own schedule range: {', '.join(unstable)}. "
-    warned = sorted({a.record for a in _warnings(records)})
+    warned = sorted({a.record for a in judged.warnings})
     if warned:
         text += f"The data carry warnings ({', '.join(warned)}): see Data. "
     if quick:
@@ -265,96 +299,74 @@ def _verdict(records: Records, identified: Identified, scores: tuple[Score, ...]
     return text.strip()
 
 
-def _warnings(records: Records) -> list[Advice]:
-    """Warnings about the data, the one that every controlled loop is a closed one apart."""
-    return [a for a in advice(Dataset(records.all)) if a.severity == "warning" and a.kind != "feedback"]
-
-
 def _machine_fit(e: Experiment) -> float:
     """FIT of the noise-free true machine, driven by a record's logged inputs: what no model can beat by more than luck."""
     return fit(e[OUTPUT], replay(WEB_WINDING, e).experiment[OUTPUT])
 
 
-BANDS = 5
-
-
-def _band_errors(model: LPVModel, dataset: Dataset) -> list[float]:
-    """RMSE of the free run of w3 in equal bands of the radius, over all records of the set."""
-    edges = np.linspace(model_span(dataset)[0], model_span(dataset)[1], BANDS + 1)
-    warmup = model.predictor.warmup if model.predictor else 0
-    error, radius = [], []
-    for e in dataset:
-        error.append((e[OUTPUT] - model.simulate(e)[:, 0])[warmup:])
-        radius.append(e[SCHEDULE][warmup:])
-    band = np.clip(np.digitize(np.concatenate(radius), edges) - 1, 0, BANDS - 1)
-    squares = np.concatenate(error) ** 2
-    return [float(np.sqrt(squares[band == b].mean())) if np.any(band == b) else np.nan for b in range(BANDS)]
-
-
-def model_span(dataset: Dataset) -> tuple[float, float]:
+def _span(dataset: Dataset) -> tuple[float, float]:
     """Smallest and largest radius of the records."""
     radius = np.concatenate([e[SCHEDULE] for e in dataset])
     return float(radius.min()), float(radius.max())
 
 
-def _band_table(records: Records, identified: Identified) -> Table:
-    low, high = model_span(records.held_out)
-    edges = np.linspace(low, high, BANDS + 1)
-    errors = {name: _band_errors(model, records.held_out) for name, model in identified.models.items()}
+def _band_errors(model: LPVModel, dataset: Dataset, edges: np.ndarray) -> list[float]:
+    """RMSE of the free run of w3 in bands of the radius, over all records of the set; NaN in a band without samples."""
+    error = np.concatenate([(e[OUTPUT] - model.simulate(e)[:, 0])[model.warmup :] for e in dataset])
+    radius = np.concatenate([e[SCHEDULE][model.warmup :] for e in dataset])
+    bands = range(len(edges) - 1)
+    band = np.clip(np.digitize(radius, edges) - 1, bands[0], bands[-1])
+    return [float(np.sqrt(np.mean(error[band == b] ** 2))) if np.any(band == b) else np.nan for b in bands]
+
+
+def _band_table(judged: Judged) -> Table:
+    bands = zip(1e3 * judged.edges[:-1], 1e3 * judged.edges[1:], *judged.errors.values(), strict=True)
     return Table(
         f"Where the models are weak: RMSE of {OUTPUT} [rad/s] by radius",
-        ("radius r2 [mm]", *errors),
-        tuple((f"{1e3 * edges[b]:.1f} to {1e3 * edges[b + 1]:.1f}", *(e[b] for e in errors.values())) for b in range(BANDS)),
+        ("radius r2 [mm]", *judged.errors),
+        tuple((f"{low:.1f} to {high:.1f}", *errors) for low, high, *errors in bands),
         caption="Free run on the held-out records; the best of each row in bold.",
         best=min,
         digits=3,
     )
 
 
-def _report(
-    records: Records,
-    identified: Identified,
-    scores: tuple[Score, ...],
-    source: dict[str, Any],
-    simulated: bool,
-    quick: bool,
-) -> Report:
-    models = list(identified.models)
+def _report(records: Records, identified: Identified, judged: Judged, source: dict[str, Any], quick: bool) -> Report:
+    simulated = judged.machine is not None
     shown = [e for e in records.all if e.name in ("prbs2", "rbs", "sine", "rgs")] or list(records.held_out)
     sections = [
-        Section("Scores", (*_score_blocks(records, scores, models, simulated), _band_table(records, identified))),
+        Section("Scores", (*_score_blocks(records, identified, judged), _band_table(judged))),
         Section("Measured and simulated", tuple(traces(e, identified.models, OUTPUT) for e in shown)),
         Section("What the models rest on", tuple(_evidence(records, identified, simulated))),
         Section("Residuals", (residual_table(identified.models, records.held_out, closed_loop=True if simulated else None),)),
-        Section("Data", (_data_table(records), *_advice_blocks(records))),
+        Section("Data", (_data_table(records), *_advice_blocks(judged))),
         Section("Provenance", (Provenance(source),)),
     ]
-    return Report(
-        "Web winding machine: LTI, ILM and SSM compared", _verdict(records, identified, scores, simulated, quick), tuple(sections)
-    )
+    return Report("Web winding machine: LTI, ILM and SSM compared", _verdict(identified, judged, quick), tuple(sections))
 
 
-def _score_blocks(records: Records, scores: tuple[Score, ...], models: list[str], simulated: bool) -> list[Block]:
+def _score_blocks(records: Records, identified: Identified, judged: Judged) -> list[Block]:
+    models, scores = list(identified.models), judged.scores
+    machine: dict[Any, float] | None = judged.machine
     blocks: list[Block] = [figures.score_dots(scores, OUTPUT)]
     for title, measure, printed in (("1.1: FIT", "FIT", PRINTED_FIT), ("1.2: RM", "RM", PRINTED_RM)):
         rows = _score_rows(records, scores, "free-run", measure)
         header = ("record", "split", *models)
         caption = f"{OUTPUT} simulated from the measured inputs."
-        if simulated:
+        if machine is not None:
             rows = [(*row, *(printed[m][EXPERIMENTS.index(row[0])] for m in models)) for row in rows]
             header += tuple(f"{model} in [1]" for model in models)
             if measure == "FIT":
-                machine: dict[Any, float] = {e.name: _machine_fit(e) for e in records.all}
                 rows = [(*row[: 2 + len(models)], machine[row[0]], *row[2 + len(models) :]) for row in rows]
                 header = (*header[: 2 + len(models)], "true machine", *header[2 + len(models) :])
                 caption += " True machine: the plant itself, noise-free, driven by the logged inputs; nothing can do better."
             caption += f" {PRINTED_NOTE}"
-        name = f"Table {title} [%], free run" if simulated else f"{measure} [%], free run"
+        name = f"Table {title} [%], free run" if machine is not None else f"{measure} [%], free run"
         blocks.append(Table(name, header, tuple(rows), caption=caption, digits=3))
     blocks.append(
         Table(
             "FIT [%] by horizon",
-            ("record", "split", *(f"{model} {_horizon(h)}" for h in HORIZONS[1:] for model in models)),
+            ("record", "split", *(f"{model} {horizon_name(h)}" for h in HORIZONS[1:] for model in models)),
             tuple(
                 (e.name, records.split(e.name), *(_value(scores, m, e.name, h, "FIT") for h in HORIZONS[1:] for m in models))
                 for e in records.all
@@ -364,10 +376,6 @@ def _score_blocks(records: Records, scores: tuple[Score, ...], models: list[str]
         )
     )
     return blocks
-
-
-def _horizon(horizon) -> str:
-    return f"{horizon}-step" if isinstance(horizon, int) else horizon
 
 
 def _evidence(records: Records, identified: Identified, simulated: bool) -> list[Block]:
@@ -532,6 +540,6 @@ def _data_table(records: Records) -> Block:
     )
 
 
-def _advice_blocks(records: Records) -> list[Block]:
-    lines = [f"{a.severity}: {a.record}, {a.channel}: {a.sentence}" for a in advice(Dataset(records.all))]
+def _advice_blocks(judged: Judged) -> list[Block]:
+    lines = [f"{a.severity}: {a.record}, {a.channel}: {a.sentence}" for a in judged.advice]
     return [Text("\n\n".join(lines))] if lines else []

@@ -89,7 +89,8 @@ def test_weakness_is_found_where_it_is():
         web_winding.plan("web-winding", "rbs").scenario(2),
     ).experiment.with_roles(("V1", "V2"), ("w3",), ("r2",))
     model = web_winding.LTI(order=3).fit(Dataset((record.trim(stop=30.0),)))  # knows the small radii only
-    errors = web_winding._band_errors(model, Dataset((record,)))
+    edges = np.linspace(record["r2"].min(), record["r2"].max(), web_winding.BANDS + 1)
+    errors = web_winding._band_errors(model, Dataset((record,)), edges)
     assert np.argmax(errors) == web_winding.BANDS - 1
     assert errors[-1] > 3 * errors[0]
 
