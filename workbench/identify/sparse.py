@@ -20,15 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from workbench.lp import NotSolvedError, RowProgram
 from workbench.records import field, record
 
 RANK = 1e-13  # columns that add less than this to the range (relative, unit columns) are left out of it
 FEASIBLE = 1e-7  # largest accepted violation of the bound, relative to it
 OPTIMAL = 1e-6  # largest accepted relative duality gap; the usual one is 1e-9 and less
-
-
-class NotSolvedError(RuntimeError):
-    """No solver gave an answer that stands the check outside the solver, or the program has no solution."""
 
 
 @record
@@ -325,7 +322,7 @@ class LInf:
         n = Psi.shape[1]
         if self.norm(Y) <= mu:
             return Solution(np.zeros(n), 0.0, 0.0, self.norm(Y))
-        program = _RowProgram(np.hstack([Psi, -Psi]) / mu, Y / mu, np.ones(2 * n), np.zeros(2 * n), np.inf)
+        program = _ErrorProgram(np.hstack([Psi, -Psi]) / mu, Y / mu, np.ones(2 * n), np.zeros(2 * n), np.inf)
         x, v = program.solve()
         theta = x[:n] - x[n:]
         return _accepted([_checked_l1(self, Psi, Y, mu, _Pair(theta, v / mu))], mu)
@@ -350,7 +347,7 @@ class LInf:
         # z in units of mu; ||Y - Q z||_2 <= sqrt(N) mu is a box that changes nothing and keeps every program bounded
         rest = (Y - Q @ centre) / mu
         reach = np.full(n, np.sqrt(len(Y)))
-        program = _RowProgram(Q, rest, np.zeros(n), -reach, reach)
+        program = _ErrorProgram(Q, rest, np.zeros(n), -reach, reach)
         low, high = np.empty(n), np.empty(n)
         for j, row in enumerate(back):
             size = float(np.linalg.norm(row))
@@ -363,7 +360,7 @@ class LInf:
         return float(np.abs(v).sum())
 
 
-def _lowest(program: "_RowProgram", Q: np.ndarray, y: np.ndarray, direction: np.ndarray) -> float:
+def _lowest(program: "_ErrorProgram", Q: np.ndarray, y: np.ndarray, direction: np.ndarray) -> float:
     """A lower bound on direction'z subject to |y - Q z| <= 1, sharp where the solver did its work.
 
     direction'z = w'(Q z) >= w'y - ||w||_1 for every w with Q'w = direction.
@@ -381,66 +378,37 @@ Bound = L2 | LInf
 BOUNDS: dict[str, type] = {"l2": L2, "linf": LInf}
 
 
-class _RowProgram:
-    """min cost'x, low <= x <= high, |y - M x| <= 1, on the few rows that matter: the others join when violated.
-
-    The solver keeps its basis from one call to the next, so a new row costs a few dual simplex steps and a new cost a
-    few primal ones.
-    """
+class _ErrorProgram:
+    """min cost'x, low <= x <= high, |y - M x| <= 1, on the few rows that matter: the others join when violated."""
 
     def __init__(self, M: np.ndarray, y: np.ndarray, cost: np.ndarray, low: np.ndarray, high: np.ndarray | float):
-        import highspy
-
         self.M, self.y = M, y
         n = M.shape[1]
         self.rows = np.empty(0, dtype=int)
-        self.solver = highspy.Highs()
-        # no presolve: the rows are dense and there is nothing to remove
-        options = {"output_flag": False, "presolve": "off", "solver": "simplex", "threads": 1,
-                   "primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}  # fmt: skip
-        for name, value in options.items():
-            self.solver.setOptionValue(name, value)
-        none = np.empty(0)
-        whole = np.empty(0, dtype=np.int32)
-        self.solver.addCols(n, cost, low, np.broadcast_to(high, n) * np.ones(n), 0, whole, whole, none)
-        self.fresh = False
+        self.program = RowProgram(cost, low, high)
         size = np.argsort(-np.abs(y))[: 2 * n]
         self._add(np.unique(np.concatenate([size[: n // 2], np.linspace(0, len(y) - 1, n // 2).astype(int)])))
 
     def change_cost(self, cost: np.ndarray) -> None:
-        self.solver.changeColsCost(len(cost), np.arange(len(cost), dtype=np.int32), cost)
-        self.fresh = True
+        self.program.change_cost(cost)
 
     def solve(self, rounds: int = 100) -> tuple[np.ndarray, np.ndarray]:
         """x and a vector v (N) of row multipliers, zero on rows that never joined."""
-        import highspy
-
         for _ in range(rounds):
-            self.solver.setOptionValue("simplex_strategy", 4 if self.fresh else 1)
-            self.fresh = False
-            self.solver.run()
-            status = self.solver.getModelStatus()
-            if status != highspy.HighsModelStatus.kOptimal:
-                raise NotSolvedError(f"HiGHS: {self.solver.modelStatusToString(status)}")
-            answer = self.solver.getSolution()
-            x = np.array(answer.col_value)
+            x, multipliers = self.program.solve()
             excess = np.abs(self.y - self.M @ x) - 1.0
             excess[self.rows] = 0.0
             worst = np.argsort(-excess)[: max(50, self.M.shape[1] // 4)]
             worst = worst[excess[worst] > 1e-9]
             if len(worst) == 0:
                 v = np.zeros(len(self.y))
-                v[self.rows] = np.array(answer.row_dual)
+                v[self.rows] = multipliers
                 return x, v
             self._add(worst)
         raise NotSolvedError(f"rows are still violated after {rounds} rounds")
 
-    def _add(self, rows: Sequence[int] | np.ndarray) -> None:
-        block = self.M[rows]
-        count, n = block.shape
-        starts = np.arange(count, dtype=np.int32) * n
-        index = np.tile(np.arange(n, dtype=np.int32), count)
-        self.solver.addRows(count, self.y[rows] - 1.0, self.y[rows] + 1.0, count * n, starts, index, block.ravel())
+    def _add(self, rows: np.ndarray) -> None:
+        self.program.add(self.M[rows], self.y[rows] - 1.0, self.y[rows] + 1.0)
         self.rows = np.concatenate([self.rows, rows])
 
 
