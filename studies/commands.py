@@ -66,22 +66,25 @@ def simulate(options: Namespace) -> int:
             todo = plan(options.plant, name)
             scenario = todo.scenario(options.seed)
             scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
-            done = run_plant(plant, todo.controller, scenario, parameters=parameters, effects=effects)
+            applied = todo.effects_with(effects)
+            done = run_plant(plant, todo.controller, scenario, parameters=parameters, effects=applied)
         else:
             record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
-            done = replay(plant, record, start=start, parameters=parameters, effects=effects)
+            applied = effects
+            done = replay(plant, record, start=start, parameters=parameters, effects=applied)
         path = folder / f"{done.experiment.name}.csv"
         if kind == "record" and path.resolve() == Path(name).resolve():
             raise InputError("the simulated record would overwrite the measured one", file=path, mend="choose another --out")
         write_csv(done.experiment, path)
         write_csv(done.states, folder / "states" / f"{done.experiment.name}.csv")  # apart: the folder is a set of records
         say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
-        entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps}
+        entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": applied}
         if kind == "record":
             entry["scores"] = _replay_scores(plant, record, done.experiment)
         summary.append(entry)
     configuration = {
         "plant": plant.name, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
+        "effects_of_experiments": {name: plan(options.plant, name).effects for name in chosen},
     }  # fmt: skip
     result = {"runs": summary, "provenance": provenance(configuration, options.inputs_from, options.seed)}
     write_json(folder / "simulate.json", result)

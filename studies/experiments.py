@@ -1,11 +1,13 @@
 """The experiment plans of the machines that ship with the workbench: which loop runs and which set-points it follows.
 
 For the web winding machine these are the five experiments of [1] section 1.4.2 under its two decoupled loops, 2250 samples
-each, a staircase with standstills and a speed ramp. [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches".
+each, a staircase with standstills and a speed ramp. For the welding robot they are open-loop runs with a moving arm, among them
+the four curves of [2] Fig. 4. [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches". [2] see
+plants/welding_robot.py.
 """
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -14,17 +16,22 @@ from plants import PLANTS, WEB_WINDING
 from workbench import excitation
 from workbench.errors import check_known
 from workbench.physics.controller import Controller, Playback
-from workbench.physics.plant import Plant
-from workbench.records import record
+from workbench.physics.plant import EffectSizes, Plant
+from workbench.records import field, record
 from workbench.simulate import Scenario
 
 
 @record
 class Plan:
-    """An experiment: the loop it runs in and, for a seed, what happens in it."""
+    """An experiment: the loop it runs in, for a seed what happens in it, and the missing physics that belongs to it."""
 
     controller: Controller
     scenario: Callable[[int], Scenario]
+    effects: EffectSizes = field(default_factory=dict)
+
+    def effects_with(self, own: EffectSizes) -> EffectSizes:
+        """The experiment's effects and a user's own ones together; where both name a number, the user's counts."""
+        return {key: {**self.effects.get(key, {}), **own.get(key, {})} for key in {**self.effects, **own}}
 
 
 def web_winding_loops(plant: Plant = WEB_WINDING) -> PILoops:
@@ -98,11 +105,70 @@ def _noise_seed(name: str, seed: int) -> int:
     return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
 
 
-def _open_loop(plant: Plant, name: str, signal: Callable[[int], np.ndarray]) -> Plan:
-    channel = plant.input_names[0]
+def _open_loop(
+    plant: Plant, name: str, signals: Callable[[int], Mapping[str, np.ndarray]], effects: EffectSizes | None = None
+) -> Plan:
+    """`signals(seed)` gives the course of every input by name."""
     return Plan(
-        Playback((channel,), plant.dt), lambda seed: Scenario(name, {channel: signal(seed)}, seed=_noise_seed(name, seed))
+        Playback(plant.input_names, plant.dt),
+        lambda seed: Scenario(name, signals(seed), seed=_noise_seed(name, seed)),
+        effects or {},
     )
+
+
+ROBOT = PLANTS["welding-robot"]
+ROBOT_SAMPLES = 2000  # 40 s, ten times the robot's slow time constant
+FORCE = 2.0  # N, drives the robot at some 2 m/s
+REACH = 1.2  # rad, how far the arm swings to either side
+
+
+def _robot_prbs(seed: int) -> dict[str, np.ndarray]:
+    return {"u": FORCE * excitation.prbs(ROBOT_SAMPLES, hold=10), "arm": _wandering_arm("prbs", seed)}
+
+
+def _robot_rbs(seed: int) -> dict[str, np.ndarray]:
+    u = excitation.random_binary(ROBOT_SAMPLES, _seeds(seed)[0], hold=10, probability=0.5)
+    return {"u": FORCE * u, "arm": _wandering_arm("rbs", seed)}
+
+
+def _robot_multisine(seed: int) -> dict[str, np.ndarray]:
+    u = excitation.multisine(ROBOT_SAMPLES, _seeds(seed)[0], ROBOT.dt, lines=20, low=0.05, high=10.0)
+    return {"u": 2 * FORCE * u, "arm": _wandering_arm("multisine", seed)}
+
+
+def _wandering_arm(name: str, seed: int) -> np.ndarray:
+    """Slow sines with phases of the experiment's own: two records share no motion, and each sees both sides of the reach."""
+    phases = _noise_seed(f"{name}, arm", seed)
+    return REACH * excitation.multisine(ROBOT_SAMPLES, phases, ROBOT.dt, lines=5, low=0.03, high=0.3)
+
+
+def _robot_steps(seed: int) -> dict[str, np.ndarray]:
+    del seed
+    return {
+        "u": excitation.staircase(ROBOT_SAMPLES, [0.0, 1.0, 2.0, 0.0, -1.0, -2.0, 0.0]),
+        "arm": excitation.staircase(ROBOT_SAMPLES, [0.0, REACH, -REACH, -REACH, 0.0, REACH, -REACH, -REACH, 0.0], rise=75),
+    }
+
+
+def _robot_curve(seed: int) -> dict[str, np.ndarray]:
+    """The input that the four curves share, whatever the seed: starts, stops and reversals while the arm takes its places."""
+    del seed
+    return {
+        "u": FORCE * excitation.staircase(ROBOT_SAMPLES, [0.0, 1.0, 0.0, -1.0, 0.5, 1.0, -0.5, -1.0, 0.0, 0.5]),
+        # eleven places against ten forces: the two do not change together
+        "arm": REACH * excitation.staircase(ROBOT_SAMPLES, [0.0, 0.8, 0.8, 0.2, 0.2, -0.8, -0.8, 0.0, 0.0, 1.0, 1.0], rise=75),
+    }
+
+
+# [2] Fig. 4 shows the response without perturbation (curve 2) and with (1, 3, 4) and prints neither numbers nor which
+# perturbation belongs to which curve. Which is which is ours, and so are the sizes: each moves the response by a fifth to a
+# quarter (root mean square).
+CURVES: dict[str, EffectSizes] = {
+    "curve1": {"coulomb@rail": {"level": 0.3}},
+    "curve2": {},
+    "curve3": {"arm-gravity@rail": {"sine": 0.4, "cosine": 0.1}},
+    "curve4": {"platform-mass@rail": {"change": 1.0, "swing": 0.4}},
+}
 
 
 PRBS_HOLD = 5  # samples a step: 0.2 s, within the bandwidth of the loops
@@ -118,15 +184,16 @@ EXPERIMENTS: dict[str, dict[str, Plan]] = {
         "ramp": _winding("ramp", _ramp),
     },
     "welding-robot": {
-        "prbs": _open_loop(PLANTS["welding-robot"], "prbs", lambda seed: 2.0 * excitation.prbs(2000, hold=10)),
-        "steps": _open_loop(
-            PLANTS["welding-robot"], "steps", lambda seed: excitation.staircase(2000, [0.0, 1.0, 2.0, 0.0, -1.0, -2.0, 0.0])
-        ),
+        "prbs": _open_loop(ROBOT, "prbs", _robot_prbs),
+        "rbs": _open_loop(ROBOT, "rbs", _robot_rbs),
+        "multisine": _open_loop(ROBOT, "multisine", _robot_multisine),
+        "steps": _open_loop(ROBOT, "steps", _robot_steps),
+        **{name: _open_loop(ROBOT, name, _robot_curve, effects) for name, effects in CURVES.items()},
     },
     "positioning-axis": {
-        "prbs": _open_loop(PLANTS["positioning-axis"], "prbs", lambda seed: 60.0 * excitation.prbs(10000, hold=200)),
+        "prbs": _open_loop(PLANTS["positioning-axis"], "prbs", lambda seed: {"F": 60.0 * excitation.prbs(10000, hold=200)}),
         "steps": _open_loop(
-            PLANTS["positioning-axis"], "steps", lambda seed: excitation.staircase(10000, [0.0, 50.0, 0.0, -50.0, 0.0])
+            PLANTS["positioning-axis"], "steps", lambda seed: {"F": excitation.staircase(10000, [0.0, 50.0, 0.0, -50.0, 0.0])}
         ),
     },
 }

@@ -26,7 +26,8 @@ from workbench.physics.controller import Controller, Playback
 from workbench.physics.effects import EFFECTS
 from workbench.physics.effects.pulley import Pulley
 from workbench.physics.effects.reel import Reel
-from workbench.physics.effects.shaft import Shaft
+from workbench.physics.effects.robot import Robot
+from workbench.physics.effects.shaft import Shaft, Slide
 from workbench.physics.plant import Parameter, Plant, Start
 from workbench.readers import check_units, read, read_all, write_csv
 from workbench.residuals import residual_test
@@ -35,7 +36,7 @@ from workbench.simulate import Run, Scenario, replay, simulate, simulate_batch
 __all__ = [
     "EFFECTS", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "Channel", "Controller", "Dataset", "Experiment",
     "Gaussian", "InputError", "LPVModel", "Parameter", "PiecewiseLinear", "Plant", "Playback", "Powers", "Pulley",
-    "Reel", "Run", "Scenario", "Shaft", "Start", "advice", "check_units", "feedback", "fit", "load_model",
-    "noise_ceiling", "read", "read_all", "replay", "residual_test", "rm", "rmse", "score", "segments", "simulate",
-    "simulate_batch", "write_csv",
+    "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Start", "advice", "check_units", "feedback", "fit",
+    "load_model", "noise_ceiling", "read", "read_all", "replay", "residual_test", "rm", "rmse", "score", "segments",
+    "simulate", "simulate_batch", "write_csv",
 ]  # fmt: skip

@@ -1,8 +1,8 @@
 """Plant + controller + scenario -> record: one run, or a batch side by side.
 
-Inputs are held between samples; measurement noise is added at the sampling instants, and each input carries an unlogged
-white disturbance. Both come from the scenario's seed and from nothing else: the same seed gives the same numbers in a
-single run and anywhere in a batch.
+Inputs are held between samples, those that move on their own too; measurement noise is added at the sampling instants, and
+each input carries an unlogged white disturbance. Both come from the scenario's seed and from nothing else: the same seed gives
+the same numbers in a single run and anywhere in a batch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -71,12 +71,14 @@ def simulate(
     units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs}
     sources = dict(zip(controller.references, controller.measured, strict=False))
     logged = [] if isinstance(controller, Playback) else list(controller.references)
+    # what moves on its own is in the log where it was given: a column that merely stands at 0 was never measured
+    shown = [i for i, c in enumerate(plant.inputs) if c.name in (*plant.commanded, *controller.actuated)]
     channels = (
-        *plant.inputs,
+        *(plant.inputs[i] for i in shown),
         *plant.outputs,
         *(Channel(name, units.get(sources.get(name, ""), ""), "reference") for name in logged),
     )
-    values = np.column_stack([run.commands[0], run.measured[0], *(scenario.references[name] for name in logged)])
+    values = np.column_stack([run.commands[0][:, shown], run.measured[0], *(scenario.references[name] for name in logged)])
     return Run(
         Experiment(scenario.name, t, channels, values, plant.dt),
         Experiment(f"{scenario.name} states", t, plant.states, run.states[0], plant.dt),
@@ -115,8 +117,11 @@ def simulate_batch(
 
 
 def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] | None = None, **options) -> Run:
-    """The plant driven by the inputs of a measured record, from a given start: the simulation a record is compared with."""
-    for name in plant.input_names:
+    """The plant driven by the inputs of a measured record, from a given start: the simulation a record is compared with.
+
+    The record must hold every commanded input; one that moves on its own is taken from it where it was logged.
+    """
+    for name in plant.commanded:
         check_known("channel", name, experiment.names, file=experiment.name)
     if abs(experiment.dt - plant.dt) > SAME_DT * plant.dt:
         raise InputError(
@@ -126,8 +131,9 @@ def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] |
         )
     for bad in bad_stamps(experiment.t, experiment.dt):
         raise InputError(f"{bad.fault} stamp at {bad.before:g} s", file=experiment.name, mend="cut the record there with trim")
-    scenario = Scenario(experiment.name, {name: experiment[name] for name in plant.input_names}, start=start or {})
-    run = simulate(plant, Playback(plant.input_names, plant.dt), scenario, **options)
+    played = tuple(name for name in plant.input_names if name in plant.commanded or name in experiment.names)
+    scenario = Scenario(experiment.name, {name: experiment[name] for name in played}, start=start or {})
+    run = simulate(plant, Playback(played, plant.dt), scenario, **options)
     return replace(run, experiment=replace(run.experiment, t=experiment.t), states=replace(run.states, t=experiment.t))
 
 

@@ -43,7 +43,7 @@ def test_compiled_step_equals_runge_kutta_in_numpy(plant):
     x0, u0 = plant.equilibrium()
     sizes, eta = {}, plant.effect_vector()
     for i, slot in enumerate(plant.slots):
-        if slot.effect.family in ("shaft", "reel", "pulley") and not slot.parameter.shape:
+        if slot.effect.family in ("shaft", "reel", "pulley", "robot") and not slot.parameter.shape:
             eta[i] = 1e-4
             sizes.setdefault(slot.key, {})[slot.parameter.name] = 1e-4
     inputs = np.array([u0 + 0.1, u0 - 0.2, u0])
@@ -69,7 +69,7 @@ def test_compiled_step_equals_runge_kutta_in_numpy(plant):
 
 
 class Bare:
-    """Ports without effects: torque 0, no run-out, no creep."""
+    """Ports without effects: torque and force 0, no run-out, no creep, the mass as it is."""
 
     def torque(self, load=0.0):
         return 0.0
@@ -79,6 +79,12 @@ class Bare:
 
     def creep(self):
         return 0.0
+
+    def force(self):
+        return 0.0
+
+    def mass(self, m):
+        return m
 
 
 def test_neutral_effects_are_exactly_no_effects(plant):

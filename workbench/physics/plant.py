@@ -75,7 +75,10 @@ EffectSizes = Mapping[str, Mapping[str, float]]  # {"coulomb@unwind": {"level": 
 
 @record
 class Plant:
-    """See the module. `ports` are those of the equation; every input has an actuator port and every output a sensor port.
+    """See the module. `ports` are those of the equation; every commanded input has an actuator port, every output a sensor port.
+
+    An input of role "schedule" moves on its own (the angle of an arm that another program drives): nothing commands it, and where
+    a record or a scenario does not give it, it stays at its start value, by default 0.
 
     noise: standard deviation of each measured channel, white per sample; disturbance: of an unlogged signal added to each
     input, white per sample. limits: (low, high) of states within which the equation means something. substeps: integrator
@@ -116,6 +119,8 @@ class Plant:
         for port in self.ports:
             if hasattr(port, "speed"):
                 check_known("state", port.speed, self.state_names, file=self.name)
+            if hasattr(port, "arm"):
+                check_known("input", port.arm, self.input_names, file=self.name)
 
     # ---- names ---------------------------------------------------------------------------------------------------
 
@@ -126,6 +131,11 @@ class Plant:
     @cached_property
     def input_names(self) -> tuple[str, ...]:
         return tuple(c.name for c in self.inputs)
+
+    @cached_property
+    def commanded(self) -> tuple[str, ...]:
+        """Names of the inputs that an actuator drives; the others move on their own."""
+        return tuple(c.name for c in self.inputs if c.role != "schedule")
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:
@@ -143,13 +153,13 @@ class Plant:
 
     @cached_property
     def all_ports(self) -> tuple[Any, ...]:
-        return (*self.ports, *(Actuator(c.name) for c in self.inputs), *(Sensor(c.name) for c in self.outputs))
+        return (*self.ports, *(Actuator(name) for name in self.commanded), *(Sensor(c.name) for c in self.outputs))
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """Every number of every effect that fits a port, in the order of the effect vector eta."""
         return tuple(
-            Slot(effect, port.place, parameter)
+            Slot(effect, port.place, port.fitted(parameter) if hasattr(port, "fitted") else parameter)
             for port in self.all_ports
             for effect in effects_of(port.family)
             for parameter in effect.parameters
@@ -217,9 +227,9 @@ class Plant:
         angle = [0.0] * len(self.turning) if angle is None else angle
         rates = self.equation(
             Named(state := dict(zip(self.state_names, x, strict=True))),
-            Named(dict(zip(self.input_names, u, strict=True))),
+            Named(inputs := dict(zip(self.input_names, u, strict=True))),
             self._parameters(p),
-            self._places(state, dict(zip(self.turning, angle, strict=True)), t, eta),
+            self._places({"x": state, "u": inputs, "angle": dict(zip(self.turning, angle, strict=True)), "t": t}, eta),
         )
         return self._ordered("derivative of state", rates, self.state_names)
 
@@ -232,7 +242,7 @@ class Plant:
     def drive(self, u, eta, t) -> list:
         """Acting inputs (nu values) from commands: what the actuator effects make of them, delay apart."""
         return [
-            Actuator(name).drive(self._effects_at("actuator", name, eta), value, t)
+            Actuator(name).drive(self._effects_at("actuator", name, eta), value, t) if name in self.commanded else value
             for name, value in zip(self.input_names, u, strict=True)
         ]
 
@@ -255,8 +265,8 @@ class Plant:
                 numbers.setdefault(slot.effect.id, {})[slot.parameter.name] = value
         return [(effect, Named(numbers[effect.id])) for effect in effects_of(family)]
 
-    def _places(self, state: dict, angle: dict, t, eta) -> Named:
-        context = Named({"x": state, "angle": angle, "t": t})
+    def _places(self, seen: dict[str, Any], eta) -> Named:
+        context = Named(seen)
         verbs: dict[str, dict] = {}
         for port in self.ports:
             own = port.verbs(self._effects_at(port.family, port.place, eta), context)
@@ -318,7 +328,10 @@ class Plant:
         return ca.Function("jacobians", list(s.values()), [ca.densify(J) for J in parts])
 
     def linearize(self, x, u, p=None, eta=None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Continuous-time A, B, C, D of the plant frozen at (x, u)."""
+        """Continuous-time A, B, C, D of the plant frozen at x (nx), u (nu)."""
+        for kind, values, names in (("states", x, self.state_names), ("inputs", u, self.input_names)):
+            if np.shape(values) != (len(names),):  # one number would be taken for all of them
+                raise InputError(f"{kind} of shape {np.shape(values)}, expected {', '.join(names)}", file=self.name)
         p = self.nominal if p is None else p
         eta = self.effect_vector() if eta is None else eta
         A, B, C = (J[0] for J in self.jacobians_of(*(np.asarray(v, dtype=float)[None] for v in (x, u, p, eta))))

@@ -160,11 +160,11 @@ def test_fractional_delay_is_exact(delay):
     """Against the matrix exponential over the two parts of every hold: no integrator error is allowed to hide here."""
     from scipy.linalg import expm
 
-    A, B, _, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0])
+    A, B, _, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0, 0.0])
 
     def advance(x, u, h):
         block = np.zeros((3, 3))
-        block[:2, :2], block[:2, 2:] = A * h, B * h
+        block[:2, :2], block[:2, 2:] = A * h, B[:, :1] * h
         return (expm(block) @ np.concatenate([x, [u]]))[:2]
 
     whole, rest = int(delay // 0.02), delay % 0.02
@@ -180,7 +180,7 @@ def test_fractional_delay_is_exact(delay):
 
 def test_sensor_lag_solves_its_differential_equation():
     tau, run = 0.05, robot_run(INPUT, sensor_lag_at_v={"time": 0.05})
-    A, B, C, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0])
+    A, B, C, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0, 0.0])
     full_A = np.block([[A, np.zeros((2, 1))], [C / tau, -np.ones((1, 1)) / tau]])
 
     def rate(t, z, u):
