@@ -294,11 +294,11 @@ class PossiblyEmpty:
         return self.low > self.high
 
     def contains(self, x: np.ndarray | float) -> np.ndarray:
-        return ~self.empty & (self.low <= x) & (x <= self.high)
+        return np.asarray((self.low <= x) & (x <= self.high))
 
     def subset(self, other: Interval) -> np.ndarray:
         """Whether it lies within `other`, entry by entry; nothing lies within everything."""
-        return self.empty | ((other.low <= self.low) & (self.high <= other.high))
+        return np.asarray((other.low <= self.low) & (self.high <= other.high))
 
     def interval(self) -> Interval:
         """The same as an interval; raises InputError where it is empty."""
@@ -441,8 +441,8 @@ def _midpoint_radius(xc: np.ndarray, rx: Interval, yc: np.ndarray, ry: Interval)
 
 
 def _radius(rad: np.ndarray) -> Interval:
-    """A radius as an operand: a point, but [largest float, inf] where it is infinite."""
-    return _made(np.minimum(rad, MAX), rad)
+    """A radius as an operand: a point, also where it is infinite (its products then are [largest float, inf])."""
+    return _made(rad, rad)
 
 
 def _inner_radius(x: Interval, mid: np.ndarray) -> np.ndarray:

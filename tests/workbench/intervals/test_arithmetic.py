@@ -292,6 +292,9 @@ def test_centre_and_radius_hold_the_interval_and_a_point_has_radius_zero():
         assert Fraction(r) <= (Fraction(b) - Fraction(a)) * Fraction(1 + 4 * U) / 2 + Fraction(U) * abs(Fraction(m)) + Fraction(
             2 * TINY
         )
+    for a, b, m, r in zip(low, high, x.mid, arithmetic._inner_radius(x, x.mid), strict=True):
+        assert Fraction(a) <= Fraction(m) - Fraction(r)
+        assert Fraction(m) + Fraction(r) <= Fraction(b)
     np.testing.assert_array_equal(exact(NASTY).rad, 0.0)
     np.testing.assert_array_equal(Interval(NASTY, NASTY).mid, NASTY)
     np.testing.assert_array_equal(Interval(NASTY, NASTY).width, 0.0)
@@ -485,6 +488,10 @@ def test_a_matrix_product_survives_the_worst_scales_within_one_sum():
     B = rng.choice(NASTY[np.abs(NASTY) < 1e50], (7, 4))
     assert_matmul_holds(exact(A), exact(B))
     assert_matmul_holds(around(A, np.abs(A) * 1e-10 + TINY), around(B, np.abs(B) * 1e-10 + TINY))
+    # every one of the three products underflows to 0, and together they are worth one and a half smallest numbers per term
+    a, b = 1e-162, 0.49 * (TINY * 1e162)
+    assert a * b == 0.0 < b
+    assert_matmul_holds(around(np.full((1, 60), a), a / 2), around(np.full((60, 1), b), b))
     # a huge entry against the smallest number: an underflow in the bound itself would cost a visible amount
     assert_matmul_holds(exact(np.array([[1e308, 1.0]])), around(np.array([[TINY], [0.0]]), np.array([[TINY], [0.0]])))
 
