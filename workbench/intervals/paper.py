@@ -1,0 +1,77 @@
+"""The paper's inclusion at interval regressors: [2] (8) with the outer product (7), one mixed-integer program.
+
+    upper   centre'z + |centre|'r + radius'(|z| + r) >= y + e        lower   -centre'z + |centre|'r + radius'(|z| + r) >= -(y - e)
+    min mean over k of  radius'(|z_k| + r) + |centre|'r
+
+|centre| on the large side of a >= is not convex, but its n signs are shared by all samples: centre = p - m with p <= M b,
+m <= M (1 - b) and n binaries b [methods: one program instead of 2^n]. Kept to compare with; see `semantics` for what is wrong.
+
+[2] Linear time-varying models with interval parameters, sections 4.2 and 4.3.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.intervals.arithmetic import dot, matmul
+from workbench.intervals.boxes import BoxProgram, Rows
+from workbench.intervals.semantics import ParameterBox
+
+LARGE = 1e3  # of scaled parameters; an answer that touches it is refused
+
+
+class PaperProgram(BoxProgram):
+    """`BoxProgram` with |centre| in it: rows are collected, and HiGHS' branch and bound starts anew for each solve."""
+
+    def start(self, first: int, last: int) -> None:
+        self.rows: list[Rows] = []
+        super().start(first, last)
+
+    def add(self, rows: Rows) -> None:
+        self.rows.append(rows)
+
+    def rows_at(self, k: np.ndarray, psi: np.ndarray, side: float) -> Rows:
+        del psi  # (7) is evaluated at the measured regressor
+        return super().rows_at(k, self.S.psi[k], side)
+
+    def relaxed(self, cost: np.ndarray) -> ParameterBox:
+        """The optimum over the rows so far; variables p, m, radius, b (n each), scaled as in `BoxProgram`."""
+        from scipy.optimize import Bounds, LinearConstraint, milp
+
+        n = len(self.scale)
+        r = self.worst.reach / self.scale
+        z = np.concatenate([rows.z for rows in self.rows]) / self.scale
+        side = np.concatenate([rows.side for rows in self.rows])[:, None]
+        rhs: Any = np.concatenate([rows.rhs for rows in self.rows]) / self.unit
+        upper: Any = np.full(n, LARGE)
+        keep = LinearConstraint(np.hstack([side * z + r, -side * z + r, np.abs(z) + r, np.zeros_like(z)]), lb=rhs)
+        eye, none = np.eye(n), np.zeros((n, n))
+        positive = LinearConstraint(np.hstack([eye, none, none, -LARGE * eye]), ub=0.0)
+        negative = LinearConstraint(np.hstack([none, eye, none, LARGE * eye]), ub=upper)
+        limits = Bounds(0.0, np.repeat([LARGE, LARGE, np.inf, 1.0], n))
+        weights = np.concatenate([r, r, cost / self.scale, np.zeros(n)])
+        answer = milp(weights, constraints=[keep, positive, negative], bounds=limits, integrality=np.repeat([0, 0, 0, 1], n))
+        if answer.x is None:
+            raise InputError("no box keeps these samples in the paper's sense", mend="use another semantics")
+        p, m, radius = answer.x[:n], answer.x[n : 2 * n], answer.x[2 * n : 3 * n]
+        if max(p.max(), m.max()) > 0.99 * LARGE:
+            raise InputError("a parameter runs to its limit", mend="some regressors do not move: leave their channel out")
+        factor = self.unit / self.scale
+        return ParameterBox((p - m) * factor, np.maximum(radius, 0.0) * factor)
+
+    def slack(self, box: ParameterBox, first: int, last: int) -> np.ndarray:
+        span = slice(first, last)
+        centre = self.z[span] @ box.centre
+        half = self.weight[span] @ box.radius + self.worst.reach @ np.abs(box.centre)
+        return np.column_stack([centre + half - self.top[span], half - centre + self.bottom[span]])
+
+    def proven_slack(self, box: ParameterBox, k: np.ndarray) -> np.ndarray:
+        z = matmul(self.S.psi[k], self.form.T.T)
+        half = (abs(z) * box.radius).sum(axis=1) + dot(self.worst.reach[None], np.abs(box.centre) + box.radius)
+        centre = (z * box.centre).sum(axis=1)
+        sides = [centre + half - self.proven_end(k, 1.0), half - centre - self.proven_end(k, -1.0)]
+        return np.column_stack([side.low for side in sides])
+
+    def mean_radius(self, box: ParameterBox, first: int, last: int) -> float:
+        return super().mean_radius(box, first, last) + float(self.worst.reach @ np.abs(box.centre))

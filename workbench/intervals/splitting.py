@@ -1,0 +1,277 @@
+"""Operating modes along time: the longest stretches of samples that one box describes with the precision asked for.
+
+[2] appendix A, repaired: from `begin` a mode takes in one sample after the other until the radius of its envelope exceeds the
+limit; the next mode begins at the sample that did not fit. The last sample is tested, the last mode is emitted, every window
+starts with N + 1 samples, and a tail that is shorter is emitted and marked. No mode reaches across two records or a gap.
+
+    radius of a mode   mean of radius'(|z_k| + |T| r) over its samples, or their maximum        precision = exp(-radius / range of y)
+
+The segments are those of the literal algorithm, which solves a linear program at every sample. Most of those need no
+program: a box that keeps the new sample and is not too wide certifies it, and a relaxed program (some of the rows) whose
+optimum is too wide refuses it.
+
+[2] Linear time-varying models with interval parameters, section 5 and appendices A, B.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.intervals.boxes import BoxProgram, Verified, verified
+from workbench.intervals.semantics import ParameterBox
+from workbench.lp import InfeasibleError
+from workbench.records import field, record
+
+BLOCK = 512  # samples that are tested at once
+SAME = 1e-9  # relative tolerance of the comparison with the limit
+RUNS = 60  # of the bisection
+
+
+@record
+class MeanRadius:
+    """The mean radius of the envelope over a mode, [2] definition 4. An easy sample lowers it: greedy is not minimal."""
+
+    def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
+        return program.mean_radius(box, first, last) > limit * (1 + SAME)
+
+
+@record
+class MaximumRadius:
+    """The largest radius of the envelope over a mode. It only grows as samples join: greedy gives the fewest modes."""
+
+    def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
+        return float((program.weight[first:last] @ box.radius).max()) > limit * (1 + SAME)
+
+
+Criterion = MeanRadius | MaximumRadius
+
+
+@record
+class Segment:
+    """Rows [first, last) of the samples with their verified box; short: a tail of fewer samples than a mode asks for."""
+
+    first: int
+    last: int
+    fitted: Verified
+    short: bool = False
+
+
+@record
+class Partition:
+    """Segments in order of time and the precision that each of them keeps (a short tail apart)."""
+
+    segments: tuple[Segment, ...]
+    precision: float = field("", low=0.0, high=1.0)
+    programs: int = 0  # linear programs that were solved
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+
+def split(program: BoxProgram, precision: float, shortest: int, criterion: Criterion | None = None) -> Partition:
+    """[2] appendix A: the modes for a precision in (0, 1], each of at least `shortest` + 1 samples (N + 1).
+
+    Raises InputError for a precision outside (0, 1], a shortest mode that no record holds, and for a precision that cannot be
+    met, with the best one that can.
+    """
+    criterion = criterion or MeanRadius()
+    _check_precision(precision)
+    pieces = _pieces(program, shortest)
+    found = _attempt(program, pieces, precision, shortest, criterion)
+    if found is None:
+        best = _best_reachable(program, pieces, precision, shortest, criterion)
+        raise InputError(
+            f"precision {precision:g} cannot be met by modes of {shortest + 1} samples",
+            mend=f"the best that can be reached is {best:.6g}: ask for less, allow shorter modes or another structure",
+        )
+    return _emitted(program, found, precision)
+
+
+def improve(
+    program: BoxProgram, partition: Partition, shortest: int, tolerance: float, criterion: Criterion | None = None
+) -> Partition:
+    """[2] appendix B: the largest precision, within `tolerance`, that needs no more modes than the partition has.
+
+    Returns the partition stored for it. Raises InputError for a tolerance that is not positive.
+    """  # fmt: skip
+    criterion = criterion or MeanRadius()
+    if not tolerance > 0.0:
+        raise InputError(f"tolerance {tolerance:g} of the precision", mend="give a number greater than 0, e.g. 0.001")
+    pieces = _pieces(program, shortest)
+    lower, upper = partition.precision, _ceiling(program)
+    kept: _Cuts | None = None
+    solved = partition.programs
+    for _ in range(RUNS):
+        if upper - lower <= tolerance:
+            break
+        middle = (lower + upper) / 2
+        found = _attempt(program, pieces, middle, shortest, criterion)
+        if found is not None:
+            solved += found.programs
+        if found is None or len(found.segments) > len(partition):
+            upper = middle
+        else:
+            lower, kept = middle, found
+    return partition if kept is None else _emitted(program, kept, lower, solved)
+
+
+# ---- one run ----------------------------------------------------------------------------------------------------------
+
+
+@record
+class _Cut:
+    first: int
+    last: int
+    short: bool
+
+
+@record
+class _Cuts:
+    """Where the segments begin and end, and how many programs that took."""
+
+    segments: tuple[_Cut, ...]
+    programs: int
+
+
+def _attempt(program: BoxProgram, pieces: Sequence[tuple[int, int]], precision: float, shortest: int, criterion) -> _Cuts | None:
+    """The segments for a precision; None where even a shortest mode does not keep it."""
+    limit = -math.log(precision) * program.unit
+    segments: list[_Cut] = []
+    window = _Window(program, limit, criterion)
+    for first, last in pieces:
+        begin = first
+        while begin < last:
+            if begin + shortest >= last:
+                segments.append(_Cut(begin, last, short=True))
+                break
+            if not window.open(begin, begin + shortest + 1):
+                return None
+            end = window.advance(last)
+            segments.append(_Cut(begin, end, short=False))
+            begin = end
+    return _Cuts(tuple(segments), window.programs)
+
+
+class _Window:
+    """Samples [begin, end) that one box describes within the limit, and the box that proves it."""
+
+    def __init__(self, program: BoxProgram, limit: float, criterion: Criterion):
+        self.program, self.limit, self.criterion = program, limit, criterion
+        self.total = np.vstack([np.zeros(program.weight.shape[1]), np.cumsum(program.weight, axis=0)])
+        self.programs = 0
+
+    def open(self, begin: int, end: int) -> bool:
+        """Start a mode; False where its first samples do not fit together."""
+        self.begin = begin
+        self.program.start(begin, end)
+        return self._fits(end)
+
+    def advance(self, last: int) -> int:
+        """Take in sample after sample up to `last`; returns where the mode ends."""
+        while self.end < last:
+            self.end = self._certified(last)
+            if self.end < last and not self._fits(self.end + 1):
+                break
+        return self.end
+
+    def _certified(self, last: int) -> int:
+        """How far the present box reaches without a new program."""
+        box, k = self.box, self.end
+        while k < last:
+            stop = min(k + BLOCK, last)
+            kept = self.program.slack(box, k, stop).min(axis=1) >= -self.program.tolerance
+            if isinstance(self.criterion, MeanRadius):
+                samples = np.arange(k + 1, stop + 1)
+                mean = (self.total[samples] - self.total[self.begin]) @ box.radius / (samples - self.begin)
+                kept &= mean <= self.limit * (1 + SAME)
+            else:
+                kept &= self.program.weight[k:stop] @ box.radius <= self.limit * (1 + SAME)
+            if not kept.all():
+                return k + int(np.argmin(kept))
+            k = stop
+        return k
+
+    def _fits(self, end: int) -> bool:
+        """Whether some box keeps [begin, end) within the limit; if so it becomes the present one."""
+        program, begin = self.program, self.begin
+        cost = (self.total[end] - self.total[begin]) / (end - begin)
+        while True:
+            self.programs += 1
+            try:
+                box = program.relaxed(cost)
+            except InfeasibleError:  # only with limits on each radius
+                return False
+            if isinstance(self.criterion, MeanRadius) and float(cost @ box.radius) > self.limit * (1 + SAME):
+                return False
+            rows = program.violated(box, begin, end, 4)
+            for some in rows:
+                program.add(some)
+            wide = self._too_wide(box, end)
+            if len(wide):
+                program.add_limit(wide, self.limit)
+            if not rows and not len(wide):
+                self.box, self.end = box, end
+                return True
+
+    def _too_wide(self, box: ParameterBox, end: int) -> np.ndarray:
+        if isinstance(self.criterion, MeanRadius):
+            return np.empty(0, dtype=int)
+        radius = self.program.weight[self.begin : end] @ box.radius
+        over = np.flatnonzero(radius > self.limit * (1 + SAME))
+        return self.begin + over[np.argsort(-radius[over])[:4]]
+
+
+# ---- around it ---------------------------------------------------------------------------------------------------------
+
+
+def _emitted(program: BoxProgram, cuts: _Cuts, precision: float, solved: int | None = None) -> Partition:
+    """The smallest verified box of every segment."""
+    segments = []
+    for cut in cuts.segments:
+        program.start(cut.first, cut.last)
+        fitted = verified(program, program.solve(cut.first, cut.last), cut.first, cut.last)
+        segments.append(Segment(cut.first, cut.last, fitted, cut.short))
+    return Partition(tuple(segments), precision, cuts.programs if solved is None else solved)
+
+
+def _pieces(program: BoxProgram, shortest: int) -> list[tuple[int, int]]:
+    """[first, last) of the rows that follow each other in time."""
+    if shortest < 1:
+        raise InputError(f"shortest mode N = {shortest}", mend="give at least 1: with 0 no mode ever grows")
+    piece = program.S.piece
+    edges = [0, *(np.flatnonzero(np.diff(piece)) + 1).tolist(), len(piece)]
+    pieces = [(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    longest = max(b - a for a, b in pieces)
+    if shortest + 1 > longest:
+        raise InputError(
+            f"shortest mode of {shortest + 1} samples, the longest record has {longest} with whole regressors",
+            mend=f"use N up to {longest - 1}",
+        )
+    return pieces
+
+
+def _check_precision(precision: float) -> None:
+    if not 0.0 < precision <= 1.0:
+        raise InputError(f"precision {precision:g}, expected 0 < precision <= 1", mend="precision is exp(-radius / range of y)")
+
+
+def _ceiling(program: BoxProgram) -> float:
+    """No box is narrower than the measured interval: exp(-mean rad [y] / range)."""
+    narrowest = np.maximum(program.top - program.bottom, 0.0).mean() / 2
+    return math.exp(-float(narrowest) / program.unit)
+
+
+def _best_reachable(program: BoxProgram, pieces: Sequence[tuple[int, int]], precision: float, shortest: int, criterion) -> float:
+    """A precision that was reached, within 1e-4 of one that was not."""
+    lower, upper = 0.0, precision
+    for _ in range(RUNS):
+        if upper - lower <= 1e-4 * upper:
+            break
+        middle = (lower + upper) / 2
+        if _attempt(program, pieces, middle, shortest, criterion) is None:
+            upper = middle
+        else:
+            lower = middle
+    return lower
