@@ -1,0 +1,57 @@
+"""How much of a measured channel is measurement noise: an estimate from above."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.data import Dataset, segments
+
+ORDER = 20  # of the autoregression: its one-step error is the noise and whatever disturbances add
+WINDOW = 64  # samples of a periodogram: white noise is in all of its frequencies, a machine's motion is not
+
+
+def measurement_noise(dataset: Dataset, output: str, inputs: Sequence[str]) -> float:
+    """Standard deviation of white noise on `output`, in its unit, at most: the smaller of two estimates that are both too large.
+
+    One-step error of a long autoregression with inputs (noise and disturbances that nobody logged), and the floor of the
+    spectrum (noise and what moves at the quietest frequency). Records too short for either give 0.
+    """
+    pieces = [piece for e in dataset for piece in segments(e, np.ones(len(e), dtype=bool), shortest=2)]
+    estimates = [_autoregression(pieces, output, inputs), _floor(pieces, output)]
+    return min((value for value in estimates if value is not None), default=0.0)
+
+
+def _autoregression(pieces, output: str, inputs: Sequence[str]) -> float | None:
+    rows, targets = [], []
+    for e in pieces:
+        if len(e) <= 2 * ORDER:
+            continue
+        columns = e[[output, *inputs]]
+        past = [columns[ORDER - i : len(e) - i] for i in range(1, ORDER + 1)]
+        rows.append(np.hstack([*past, columns[ORDER:, 1:], np.ones((len(e) - ORDER, 1))]))
+        targets.append(columns[ORDER:, 0])
+    if not rows:
+        return None
+    Psi, y = np.concatenate(rows), np.concatenate(targets)
+    if len(y) <= 2 * Psi.shape[1]:
+        return None
+    size = np.linalg.norm(Psi, axis=0)
+    Psi = Psi / np.where(size > 0, size, 1.0)
+    error = y - Psi @ np.linalg.lstsq(Psi, y, rcond=None)[0]
+    return float(np.sqrt(error @ error / (len(y) - Psi.shape[1])))
+
+
+def _floor(pieces, output: str) -> float | None:
+    """sqrt of the smallest power density, as if it were white."""
+    from scipy.signal import welch
+
+    densities = []
+    for e in pieces:
+        if len(e) >= 4 * WINDOW:
+            _, density = welch(e[output], fs=1.0, nperseg=WINDOW, detrend="linear")
+            densities.append((len(e), density[2:-1]))
+    if not densities:
+        return None
+    total = sum(N for N, _ in densities)
+    mean = sum(N * density for N, density in densities) / total
+    return float(np.sqrt(np.min(mean) / 2.0))  # one-sided: a variance of 1 has the density 2
