@@ -15,19 +15,17 @@ names and adds to its bounds.
 """
 
 from collections.abc import Callable
-from itertools import product
 
 import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
 
-CUBE = np.array(list(product([-1.0, 1.0], repeat=3)))
 ROUNDING = 64 * np.finfo(float).eps  # of one step of a recursion, relative to the sum of the sizes of its terms
 WIDENED = 1e-9  # by which kernel and zonotope are widened: far above their rounding, far below what they overestimate
 COLLINEAR = 1e-12  # vertices this close to the chord of their neighbours, relative to the polygon, are dropped and paid for
 MOST_SIGNS = 7  # parameters up to which all sign patterns are tried; above it their sum is bounded term by term
-THIN = 1e6  # a set in space that is not this many times thicker than the rounding is widened along each axis on its own
+THIN = 1e5  # an extent in space below this many roundings counts as flat
 QHULL = 1e-12  # by how much Qhull's hull may miss a point, where all extents are of size one; the usual is 1e-15
 
 
@@ -274,7 +272,8 @@ def hull(recursion: Recursion) -> Bounds:
     A vertex d of the hull of deviations becomes A d +- b lam'|z_nom + C d|. One state: a segment; two: a polygon; three: a
     polytope by Qhull. Each step is widened by its rounding (ROUNDING times the sizes of its terms), by the vertices dropped
     as nearly collinear, and, in space, by Qhull's own tolerance, so that the bounds contain the truth; on stable boxes this
-    adds about 1e-9 to the width. The two halves of an unstable box run into infinity.
+    adds about 1e-9 to the width, and in space up to some 1e-6 of the signal where the set stays flat. An unstable box runs
+    into infinity.
     Raises InputError for more than three states: `kernel` has no such limit.
     """
     r, run, m = recursion, nominal(recursion), recursion.modes
@@ -398,32 +397,33 @@ def _above_chord(s: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def _polytope(image: np.ndarray, reach: np.ndarray, rounding: float) -> np.ndarray:
-    """Qhull in the principal axes of the points, scaled to unit extents, then widened by `rounding`."""
+    """Qhull in the principal axes of the points, scaled to unit extents; along thin axes their largest half width instead."""
     step = reach[:, None] * np.eye(3)[-1]
     points = np.concatenate([image + step, image - step])
-    rounding = max(2 * (rounding + ROUNDING * float(np.abs(points).max())), np.finfo(float).tiny ** 0.25)
-    white = _Whitened(points)
-    if white.extent[-1] > THIN * rounding:
-        return white.hull(2 * rounding / white.extent[-1])
-    # so flat a set is no body for Qhull, and scaling it until its thickness covers the rounding would lengthen it as well
-    return _Whitened((points[:, None] + rounding * CUBE).reshape(-1, 3)).hull(0.0)
+    rounding = 2 * (rounding + ROUNDING * float(np.abs(points).max()))
+    centre = points.mean(axis=0)
+    d = points - centre
+    # not the eigenvectors of the covariance, which lose half the digits; zeros give two points three axes as well
+    _, extent, axes = np.linalg.svd(np.concatenate([d, np.zeros((3, 3))]), full_matrices=False)
+    extent = extent / np.sqrt(len(d))
+    u = d @ axes.T
+    # scaling a thin body until its thickness covers the rounding would lengthen it as well
+    thick = extent > THIN * rounding
+    V = _extreme(u[:, thick] / extent[thick], 2 * rounding / extent[thick].min(initial=np.inf)) * extent[thick]
+    for axis in np.flatnonzero(~thick):
+        half = np.abs(u[:, axis]).max() + rounding
+        V = np.insert(np.concatenate([V, V]), axis, np.repeat([-half, half], len(V)), axis=1)
+    return centre + V @ axes
 
 
-class _Whitened:
-    """points (m, 3) around their mean, in principal axes, with extents of one."""
+def _extreme(points: np.ndarray, outward: float) -> np.ndarray:
+    """Vertices of a hull that has every point at least `outward` inside; points (m, 0..3) of unit extents, mean zero."""
+    from scipy.spatial import ConvexHull
 
-    def __init__(self, points: np.ndarray):
-        self.centre = points.mean(axis=0)
-        d = points - self.centre
-        # not the eigenvectors of the covariance, which lose half the digits; zeros give two points three axes as well
-        _, extent, self.axes = np.linalg.svd(np.concatenate([d, np.zeros((3, 3))]), full_matrices=False)
-        self.extent = extent / np.sqrt(len(d))
-        self.points = d @ self.axes.T
-
-    def hull(self, outward: float) -> np.ndarray:
-        """Vertices (m', 3) of a hull that has every point at least `outward` inside, in units of the extents."""
-        from scipy.spatial import ConvexHull
-
-        found = ConvexHull(self.points / self.extent)
-        inside = -float(found.equations[:, -1].max())  # distance from the mean to the nearest facet
-        return self.centre + self.points[found.vertices] * (1 + (outward + QHULL) / inside) @ self.axes
+    if points.shape[1] == 0:
+        return np.zeros((1, 0))
+    if points.shape[1] == 1:
+        return np.array([points.min(axis=0) - outward, points.max(axis=0) + outward])
+    found = ConvexHull(points)
+    inside = -float(found.equations[:, -1].max())  # distance from the mean to the nearest facet
+    return points[found.vertices] * (1 + (outward + QHULL) / inside)
