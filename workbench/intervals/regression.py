@@ -210,7 +210,7 @@ def _by_schedule(program: BoxProgram, asked: BySchedule, dataset: Dataset) -> tu
         rows = np.flatnonzero(
             (rho >= low) & (rho <= high)
         )  # a sample on an edge counts on both sides: both modes are valid there
-        modes.append(_mode(program, rows, domain=Box([low], [high])))
+        modes.append(_mode(program, rows, domain=_interval(low, high)))
     merged = [] if len(edges) == asked.intervals + 1 else [f"{len(modes)} schedule intervals: others held too few samples"]
     return modes, merged
 
@@ -240,7 +240,7 @@ def _mode(
     return Mode(
         box=fitted.box,
         domain=domain or _domain(part),
-        spans=_spans(part.S),
+        spans=spans_of(part.S),
         samples=len(rows),
         mean_radius=fitted.mean_radius,
         precision=math.exp(-fitted.mean_radius / program.unit),
@@ -258,7 +258,7 @@ def _domain(part: BoxProgram) -> Domain:
     return Box((at - reach).min(axis=0), (at + reach).max(axis=0))
 
 
-def _spans(S: Samples) -> tuple[Span, ...]:
+def spans_of(S: Samples) -> tuple[Span, ...]:
     """Runs of samples that follow each other in one record."""
     breaks = np.flatnonzero((np.diff(S.piece) != 0) | (np.diff(S.index) != 1)) + 1
     edges = [0, *breaks.tolist(), len(S)]

@@ -1,0 +1,209 @@
+"""Simulation-accurate boxes: the free run of the model holds the measured output, sample by sample.
+
+    centre   min sum_k (y(k) - y_nom(k))^2,  y_nom the free run from measured inputs                      (output error)
+    radius   min mean_k B_k'radius   subject to   B_k'radius >= |y(k) - y_nom(k)| + e_y,   radius >= 0
+             B_ki = sum_j |h(k - j)| |z_nom,i(j)|,  h the response of y to an equation error                (first order)
+
+B_k'radius is the first-order half-width of the free run; the true one holds products of deviations besides. Afterwards the
+free run itself is computed and the radii grow by a common factor until it holds every sample.
+
+Such a box says what the outputs of a record can be. It does not say that the record is a trajectory of the model: its
+one-step envelope is narrower than the equation error. It is a hundred times narrower in simulation where sampling is fast.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.data import Dataset
+from workbench.errors import InputError
+from workbench.intervals.domains import Hull
+from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
+from workbench.intervals.regression import error_bounds, named_output, spans_of
+from workbench.intervals.regressors import ARX, Samples, Structure, samples
+from workbench.intervals.semantics import ParameterBox
+from workbench.lp import RowProgram
+from workbench.records import field, record
+
+ITERATIONS = 50  # of the output-error fit
+GROWTH = 12  # enlargements at most
+
+
+@record
+class OutputErrorRegression:
+    """See the module. output_error: bound on |measured - true| of y; None: three standard deviations of its noise."""
+
+    structure: Structure = field(default_factory=ARX)
+    output_error: float | None = None
+    name: str = "interval-simulation"
+
+    def fit(self, dataset: Dataset, output: str | None = None) -> IntervalModel:
+        """A model of one box whose free run holds every record.
+
+        Raises InputError as `IntervalRegression.fit`, for records with gaps, and where no stable nominal model is found.
+        """
+        first = dataset.experiments[0]
+        y, u = named_output(dataset, output), first.names_of("input")
+        e_y, e_u, notes = error_bounds(dataset, y, u, self.output_error, 0.0)
+        S = samples(self.structure, dataset, y, u, output_error=e_y, input_error=e_u)
+        runs = [S.rows(S.piece == p) for p in np.unique(S.piece)]
+        centre = _nominal(S, runs)
+        radius = _radius(S, runs, centre)
+        return _grown(self, dataset, (y, u), S, ParameterBox(centre, radius), tuple(notes))
+
+
+# ---- centre -----------------------------------------------------------------------------------------------------------
+
+
+def _nominal(S: Samples, runs: list[Samples]) -> np.ndarray:
+    """Output-error least squares: Gauss-Newton with step halving, from the best of the prefiltered equation-error fits."""
+    scale = np.abs(S.z).max(axis=0)
+    scale[scale == 0] = 1.0
+    theta = np.linalg.lstsq(S.z / scale, S.y - S.psi @ S.form.d, rcond=None)[0] / scale
+    theta = min(_prefiltered(S, runs, theta, scale), key=lambda candidate: _cost(runs, candidate))
+    cost = _cost(runs, theta)
+    if not np.isfinite(cost):
+        raise InputError("no stable model describes these records in simulation", mend="another order, or equation-error boxes")
+    for _ in range(ITERATIONS):
+        parts = [_simulated(R, theta) for R in runs]
+        error = np.concatenate([R.y - y for R, (y, _) in zip(runs, parts, strict=True)])
+        J = np.concatenate([_filtered(R, theta, z) for R, (_, z) in zip(runs, parts, strict=True)])
+        step = np.linalg.lstsq(J / scale, error, rcond=1e-10)[0] / scale
+        length = 1.0
+        while length > 1e-6 and not (trial := _cost(runs, theta + length * step)) < cost:
+            length /= 2
+        if length <= 1e-6:
+            break
+        done = cost - trial < 1e-12 * cost
+        theta, cost = theta + length * step, trial
+        if done:
+            break
+    return theta
+
+
+def _prefiltered(S: Samples, runs: list[Samples], theta: np.ndarray, scale: np.ndarray) -> list[np.ndarray]:
+    """The first guess and five iterations of least squares on signals filtered by the last denominator (Steiglitz-McBride)."""
+    found = [theta]
+    for _ in range(5):
+        if _radius_of_poles(S, theta) >= 1.0:
+            break
+        z = np.concatenate([_filtered(R, theta, R.z) for R in runs])
+        target = np.concatenate([_filtered(R, theta, (R.y - R.psi @ R.form.d)[:, None])[:, 0] for R in runs])
+        theta = np.linalg.lstsq(z / scale, target, rcond=None)[0] / scale
+        found.append(theta)
+    return found
+
+
+def _denominator(S: Samples, theta: np.ndarray) -> np.ndarray:
+    """1, a_1 .. a_n of the recursion y(k) + a_1 y(k-1) + .. = ..."""
+    row = S.form.d + S.form.T.T @ theta
+    return np.concatenate([[1.0], -row[S.form.source == 0]])
+
+
+def _radius_of_poles(S: Samples, theta: np.ndarray) -> float:
+    return float(np.abs(np.roots(_denominator(S, theta))).max(initial=0.0))
+
+
+def _filtered(R: Samples, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """x (K p) through the response to an equation error, from rest."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([1.0], _denominator(R, theta), x, axis=0))
+
+
+def _simulated(R: Samples, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Free run y (K) of one stretch and its regressors z (K p), from the first regressor and the measured inputs."""
+    from scipy.signal import lfilter, lfiltic
+
+    past = R.form.source == 0
+    a = _denominator(R, theta)
+    v = R.psi[:, ~past] @ (R.form.d + R.form.T.T @ theta)[~past]
+    if not past.any():
+        return v, R.z
+    before = R.psi[0, past]
+    y = np.asarray(lfilter([1.0], a, v, zi=lfiltic([1.0], a, before))[0])
+    whole = np.concatenate([before[::-1], y])
+    psi = R.psi.copy()
+    lags = R.form.lags[past].astype(int)
+    psi[:, past] = whole[len(before) + np.arange(len(y))[:, None] - lags[None]]
+    return y, psi @ R.form.T.T
+
+
+def _cost(runs: list[Samples], theta: np.ndarray) -> float:
+    if _radius_of_poles(runs[0], theta) >= 1.0:
+        return np.inf
+    return float(sum(np.sum((R.y - _simulated(R, theta)[0]) ** 2) for R in runs))
+
+
+# ---- radius -----------------------------------------------------------------------------------------------------------
+
+
+def _radius(S: Samples, runs: list[Samples], centre: np.ndarray) -> np.ndarray:
+    """The linear program of the module, on the rows that matter."""
+    from scipy.signal import fftconvolve
+
+    sides, needed = [], []
+    for R in runs:
+        y, z = _simulated(R, centre)
+        impulse = np.zeros(len(R))
+        impulse[0] = 1.0
+        h = np.abs(_filtered(R, centre, impulse[:, None]))
+        sides.append(np.maximum(fftconvolve(np.abs(z), h, axes=0)[: len(R)], 0.0))
+        needed.append(np.abs(R.y - y) + R.output_error)
+    B, bound = np.concatenate(sides), np.concatenate(needed)
+    scale, unit = B.max(axis=0), float(bound.max())
+    scale[scale == 0] = 1.0
+    if unit == 0.0:
+        return np.zeros(B.shape[1])
+    hopeless = (B.max(axis=1) <= 0.0) & (bound > 0.0)
+    if hopeless.any():
+        raise InputError(f"sample {int(np.argmax(hopeless)) + 1}: no parameter acts on the output", mend="use a bias (bias=True)")
+    B, bound = B / scale, bound / unit
+    program = RowProgram(B.mean(axis=0), 0.0, np.inf)
+    new = np.argsort(-bound)[: 8 * B.shape[1]]
+    while len(new):
+        program.add(B[new], bound[new])
+        x, _ = program.solve()
+        short = bound - B @ x
+        new = np.argsort(-short)[: 4 * B.shape[1]]
+        new = new[short[new] > 1e-9]
+    return np.maximum(x, 0.0) * unit / scale
+
+
+def _grown(
+    method: OutputErrorRegression, dataset: Dataset, channels: tuple[str, tuple[str, ...]], S: Samples, box: ParameterBox, notes
+) -> IntervalModel:
+    """The model, its radii enlarged by the smallest common factor found with which its free run holds every sample."""
+    first, (y, u) = dataset.experiments[0], channels
+    unit = float(np.ptp(S.y)) or 1.0
+    at = domain_coordinates(S)
+    factor = 1.0
+    for _ in range(GROWTH):
+        grown = ParameterBox(box.centre, box.radius * factor)
+        mode = Mode(grown, Hull(at), spans_of(S), len(S), 0.0, 1.0)
+        model = IntervalModel(
+            name=method.name, dt=dataset.dt, inputs=tuple(first.channel(name) for name in u), output=first.channel(y),
+            schedule=None, structure=method.structure, semantics=Simulation(), output_error=S.output_error,
+            input_error=np.zeros(len(u)), unit_range=unit, modes=(mode,), trained_on=dataset.fingerprints, notes=notes,
+        )  # fmt: skip
+        short, radius = _shortfall(model, dataset)
+        if short <= 1.0:
+            precision = math.exp(-radius / unit)
+            return replace(model, modes=(replace(mode, mean_radius=radius, precision=precision, inflation=factor),))
+        factor *= short * (1 + 1e-6)
+    raise InputError("the free run does not hold every sample", mend="use equation-error boxes, or a higher order")
+
+
+def _shortfall(model: IntervalModel, dataset: Dataset) -> tuple[float, float]:
+    """Largest |y - nominal| + e_y over the half-width of the free run on that side, and the mean radius."""
+    short, radius, count = 1.0, 0.0, 0
+    for e in dataset:
+        found = model.free_run(e, instants=(0,))
+        run = found.run
+        room = np.where(found.y >= run.nominal, run.high - run.nominal, run.nominal - run.low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = (np.abs(found.y - run.nominal) + found.output_error) / room
+        short = max(short, float(np.nanmax(ratio)))
+        radius, count = radius + float(np.sum(run.high - run.low)) / 2, count + len(found.y)
+    return short, radius / count
