@@ -76,8 +76,9 @@ def free_run(recursion: Recursion, instants: Sequence[int] | None = None) -> Fre
     """Guaranteed and reached envelope of y(k) over all delta(k) in the box and all initial states.
 
     Outer: the interval product where there is no state, the exact hull up to two states, with three states and at most
-    LONGEST_IN_SPACE samples the hull and the kernel together, the kernel above. Inner: the envelope of the worst sequences for each of `instants` (default:
-    where the outer bounds are widest, and INSTANTS - 1 spread over the run); it is sharp there and only valid between.
+    LONGEST_IN_SPACE samples the hull and the kernel together, the kernel above. Inner: the envelope of the worst sequences
+    for each of `instants` (default: where the outer bounds are widest, and INSTANTS - 1 spread over the run); it is sought
+    there and only valid between.
     """
     r, n = recursion, len(recursion.b)
     if n <= 2 or (n == 3 and len(r) <= LONGEST_IN_SPACE):
