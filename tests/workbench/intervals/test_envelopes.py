@@ -437,12 +437,13 @@ def test_an_unstable_box_gives_growing_bounds_and_infinity_without_warnings(n):
     assert run.ratio >= 1
 
 
-def test_a_gain_of_one_says_that_the_kernel_grows_where_the_hull_does_not():
-    # the loop a +- l stays inside the unit circle, but alternating signs of a make |a| + l exceed the sum the kernel sees
-    r = scalar(-0.9, 0.15, 4000, f=1.0)
-    assert kernel(replace(r, lam=[[0.05]])).gain < 1
-    assert kernel(r).gain > 1
-    assert kernel(r).width[3999] > 1e6
+def test_a_gain_above_one_says_that_the_kernel_grows_where_the_hull_does_not():
+    r, *_ = difference_equation(LIGHTLY_DAMPED, 0.3, 0.15, 1500)
+    bounds, width = kernel(r), hull(r).width
+    assert bounds.gain > 1
+    assert bounds.width[-1] > 20 * bounds.width[300]
+    assert width[-1] < 1.5 * width[300]
+    assert kernel(replace(r, lam=0.5 * r.lam)).gain == pytest.approx(0.5 * bounds.gain, rel=1e-9)
 
 
 def test_bad_input_names_the_place():
