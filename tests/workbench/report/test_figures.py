@@ -12,7 +12,9 @@ from workbench.data import Channel
 from workbench.metrics import Score
 from workbench.records import RecordError
 from workbench.report import figures
-from workbench.report.figures import Coefficient, Picture, Trace
+from workbench.report.figures import Coefficient, Trace
+from workbench.report.page import Picture
+from workbench.report.palette import PAPER, SERIES
 from workbench.report.svg import embed
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -147,8 +149,8 @@ def marks(picture: Picture, face: str) -> int:
 def test_singular_values_keep_as_many_as_the_order():
     values = np.array([100.0, 50.0, 10.0, 0.1, 0.05])
     picture = figures.singular_values(values, 3)
-    assert marks(picture, figures.SERIES[0].light) == 3
-    assert marks(picture, figures.PAPER.light) == 2
+    assert marks(picture, SERIES[0].light) == 3
+    assert marks(picture, PAPER.light) == 2
     assert "factor 100" in picture.caption
     np.testing.assert_array_equal(picture.data.columns[1].values, values)
 
