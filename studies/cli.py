@@ -94,11 +94,13 @@ def parser() -> argparse.ArgumentParser:
         "--model",
         default="all",
         metavar="M",
-        help="lti, ilm, ssm, several (lti,ssm), all, or best: chosen on the estimation records",
+        help="lti, ilm, ssm, interval, several (lti,interval), all (lti,ilm,ssm), or best: chosen on the estimation records",
     )
     sub.add_argument("--order", type=_positive, help="model order (default: chosen on the estimation records)")
     sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
     sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
+
+    _interval_options(sub)
 
     sub = command(
         "compare",
@@ -117,6 +119,33 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
     sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")
     return top
+
+
+def _interval_options(sub: argparse.ArgumentParser) -> None:
+    group = sub.add_argument_group("options of --model interval")
+    group.add_argument(
+        "--semantics",
+        default="inclusion-all",
+        metavar="S",
+        help="what is promised: inclusion-all (default), inclusion-exact, overlap, inclusion-paper, or simulation",
+    )
+    group.add_argument("--form", choices=("delta", "shift"), default="delta", help="form of the regressors (default delta)")
+    group.add_argument("--fir", type=_positive, metavar="N", help="finite impulse response of N samples instead of order")
+    group.add_argument(
+        "--e-y", dest="output_error", type=float, metavar="E", help="bound on the error of the output (default: its noise)"
+    )
+    group.add_argument(
+        "--e-u", dest="input_error", metavar="E,E", help="bounds on the errors of the inputs (default: half a quantum)"
+    )
+    group.add_argument(
+        "--precision", type=float, metavar="P", help="modes along time, each of at least this precision, 0 < P <= 1"
+    )
+    group.add_argument("--shortest", type=_positive, metavar="N", help="a mode along time has at least N + 1 samples")
+    group.add_argument(
+        "--tolerance", type=float, metavar="T", help="raise the precision, within T, while no more modes are needed"
+    )
+    group.add_argument("--maximum-radius", action="store_true", help="precision from the largest radius of a mode, not the mean")
+    group.add_argument("--intervals", type=_positive, metavar="N", help="a box for each of N equal intervals of the schedule")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,9 +10,22 @@ from typing import Any
 from studies.arguments import check_file, find_plant, names, parse_effects, parse_numbers, run_folder
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
-from workbench.files import write_json
+from workbench.files import read_json, write_json
 from workbench.provenance import provenance
 from workbench.readers import check_units, read, read_all, write_csv
+from workbench.records import record
+
+INTERVAL = "interval"  # the model kind beside the methods of `workbench.identify`
+
+
+@record
+class Judged:
+    """A model, its file, its scores, and for an interval model its envelopes."""
+
+    model: Any
+    file: str
+    scores: tuple[Any, ...]
+    envelopes: tuple[Any, ...] = ()
 
 
 def run(options: Namespace) -> int:
@@ -118,11 +131,15 @@ def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
 
 def identify(options: Namespace) -> int:
     """Fit the models asked for, save them, score them on estimation and held-out records."""
+    from studies.envelopes import described_modes, fit_outputs, interval_configuration, interval_method
     from workbench.identify import METHODS
+    from workbench.intervals.coverage import cover
 
     wanted = tuple(METHODS) if options.model in ("all", "best") else names(options.model)
     for method in wanted:
-        check_known("model", method, (*METHODS, "all", "best"))
+        check_known("model", method, (*METHODS, INTERVAL, "all", "best"))
+    interval = interval_method(options) if INTERVAL in wanted else None
+    wanted = tuple(method for method in wanted if method != INTERVAL)
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
     dataset = read_all(options.records, **roles)
     held_out = read_all(options.validate, **roles) if options.validate else None
@@ -139,16 +156,27 @@ def identify(options: Namespace) -> int:
         progress("ilm: skipped, it needs a schedule (--schedule)")
         wanted = tuple(method for method in wanted if method != "ilm")
     methods = {name: METHODS[name]() if options.order is None else METHODS[name](order=options.order) for name in wanted}
-    results = []
-    for method, model in _fitted(options.model, methods, dataset):
+    results: list[Judged] = []
+    for method, model in _fitted(options.model, methods, dataset) if wanted else ():
         model.save(folder / f"{method}.json")
         for note in model.notes:
             say(f"note: {method}: {note}")
-        results.append((model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
+        results.append(Judged(model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
+    if interval is not None:
+        progress(f"{INTERVAL}: identifying")
+        for name, model in fit_outputs(interval, dataset).items():
+            model.save(folder / f"{name}.json")
+            for line in described_modes(model):
+                say(line)
+            envelopes = cover(model, dataset, "estimation") + (cover(model, held_out, "held-out") if held_out else ())
+            results.append(Judged(model, str(folder / f"{name}.json"), tuple(c.nominal for c in envelopes), envelopes))
     _say_scores(results)
+    _say_envelopes(results)
     if not options.validate:
         say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
-    configuration = {"model": options.model, "order": options.order} | roles
+    configuration = (
+        {"model": options.model, "order": options.order} | roles | (interval_configuration(interval) if interval else {})
+    )
     _write(options, folder, results, configuration, held_out or dataset, [*options.records, *options.validate])
     return 0
 
@@ -185,40 +213,53 @@ def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[t
 
 def compare(options: Namespace) -> int:
     """Score saved models on records that they never saw and test what is left in their residuals."""
+    from workbench.intervals.coverage import cover
+    from workbench.intervals.model import IntervalModel
     from workbench.residuals import residual_test
 
     models = _load_models(options.models)
     if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
         models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
-    results = []
+    results: list[Judged] = []
     for path, model in zip(options.models, models, strict=True):
+        outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
         roles = {
             "inputs": [c.name for c in model.inputs],
-            "outputs": [c.name for c in model.outputs],
+            "outputs": [c.name for c in outputs],
             "schedule": [model.schedule.name] if model.schedule else [],
         }
         dataset = read_all(options.records, **roles)
-        known = (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))
+        known = (*model.inputs, *outputs, *([model.schedule] if model.schedule else []))
         for experiment in dataset:
             check_units(experiment, {c.name: c.unit for c in known})
-        results.append((model, path, _scores(model, None, dataset, options.horizon)))
+        if isinstance(model, IntervalModel):
+            envelopes = cover(model, dataset, "held-out")
+            results.append(Judged(model, path, tuple(c.nominal for c in envelopes), envelopes))
+            continue
+        results.append(Judged(model, path, _scores(model, None, dataset, options.horizon)))
         for experiment in dataset:
             say(str(residual_test(model, experiment)))
     _say_scores(results)
+    _say_envelopes(results)
     folder = run_folder(options.out, "compare")
     _write(options, folder, results, {"models": options.models}, read_all(options.records), options.records)
     return 0
 
 
 def _load_models(paths: list[str]) -> list:
-    """The models of these files; a scores file that lies beside them is passed over."""
+    """The models of these files, LPV or interval; a scores file that lies beside them is passed over."""
+    from workbench.intervals.model import SCHEMA, load_interval_model
     from workbench.lpv import load_model
 
     for path in paths:
         if paths.count(path) > 1:
             raise InputError("is named twice", file=path, mend="name each model once")
     paths[:] = [path for path in paths if Path(path).name != "scores.json" or len(paths) == 1]
-    return [load_model(path) for path in paths]
+    content = [read_json(path) for path in paths]
+    interval = [isinstance(c, dict) and c.get("schema") == SCHEMA for c in content]
+    return [
+        load_interval_model(path) if is_interval else load_model(path) for path, is_interval in zip(paths, interval, strict=True)
+    ]
 
 
 def _check_roles(dataset: Dataset, wanted: Sequence[str]) -> None:
@@ -263,13 +304,13 @@ def _scores(model, estimation: Dataset | None, held_out: Dataset | None, steps: 
     return scores
 
 
-def _say_scores(results) -> None:
+def _say_scores(results: Sequence[Judged]) -> None:
     """Held-out free runs first, the headline; of the estimation records the free run alone, the rest is in the files."""
     say(f"{'model':8} {'order':>5}  {'record':16} {'split':10} {'output':8} {'horizon':9} {'FIT':>7} {'RM':>7} {'RMSE':>10}")
     from workbench.metrics import horizon_name
 
     rank = {"free-run": 0, "one-step": 1}
-    scores = [(model, s) for model, _, scores in results for s in scores]
+    scores = [(judged.model, s) for judged in results for s in judged.scores]
     scores = [(model, s) for model, s in scores if s.split == "held-out" or s.horizon == "free-run"]
     scores.sort(key=lambda pair: (pair[1].split != "held-out", rank.get(pair[1].horizon, 2), pair[1].output))
     for model, s in scores:
@@ -279,22 +320,25 @@ def _say_scores(results) -> None:
         )
 
 
-def _write(options: Namespace, folder: Path, results, configuration, shown: Dataset, files) -> None:
+def _say_envelopes(results: Sequence[Judged]) -> None:
+    """Coverage of held-out records first: an envelope is worth what it holds of records it never saw."""
+    lines = sorted((c for judged in results for c in judged.envelopes), key=lambda c: c.split != "held-out")
+    for line in lines:
+        say(str(line))
+
+
+def _write(options: Namespace, folder: Path, results: Sequence[Judged], configuration, shown: Dataset, files) -> None:
     """Scores as JSON and the comparison as a page, with the records of `shown` in its pictures."""
-    from studies.comparison import comparison
-    from workbench.metrics import to_json
+    from studies.comparison import comparison, scores_file
     from workbench.report.page import write_report
 
     source = provenance(configuration, files)
-    content = to_json(results, source)
+    content = scores_file(results, source)
     write_json(folder / "scores.json", content)
     if options.json:
         write_json(options.json, content)
-    models = [model for model, _, _ in results]
-    scores = [s for _, _, scores in results for s in scores]
-    notes = [f"{model.name}: {note}" for model in models for note in model.notes]
-    title = f"{options.command}: {', '.join(model.name for model in models)}"
-    page = write_report(comparison(title, models, scores, tuple(shown), notes, source), folder)
+    title = f"{options.command}: {', '.join(judged.model.name for judged in results)}"
+    page = write_report(comparison(title, results, tuple(shown), source), folder)
     say(f"report: {page}")
 
 

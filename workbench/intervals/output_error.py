@@ -3,9 +3,11 @@
     centre   min sum_k (y(k) - y_nom(k))^2,  y_nom the free run from measured inputs                      (output error)
     radius   min mean_k B_k'radius   subject to   B_k'radius >= |y(k) - y_nom(k)| + e_y,   radius >= 0
              B_ki = sum_j |h(k - j)| |z_nom,i(j)|,  h the response of y to an equation error                (first order)
+             sum_i radius_i ||g_i||_1 <= g,         g_i the response of z_i to an equation error            (loop gain)
 
-B_k'radius is the first-order half-width of the free run; the true one holds products of deviations besides. Afterwards the
-free run itself is computed and the radii grow by a common factor until it holds every sample.
+B_k'radius is the first-order half-width of the free run; the true one is up to 1/(1 - g) times as wide. The program is solved
+for several g, from 0 (no uncertainty in the feedback) on; the radii grow by a common factor until the free run itself holds
+every sample, and the narrowest result is taken.
 
 Such a box says what the outputs of a record can be. It does not say that the record is a trajectory of the model: its
 one-step envelope is narrower than the equation error. It is a hundred times narrower in simulation where sampling is fast.
@@ -23,9 +25,10 @@ from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_co
 from workbench.intervals.regression import error_bounds, named_output, spans_of
 from workbench.intervals.regressors import ARX, Samples, Structure, samples
 from workbench.intervals.semantics import ParameterBox
-from workbench.lp import RowProgram
+from workbench.lp import InfeasibleError, RowProgram
 from workbench.records import field, record
 
+GAINS = (0.0, 0.1, 0.3, 0.6)  # of the loop, that are tried
 ITERATIONS = 50  # of the output-error fit
 GROWTH = 12  # enlargements at most
 
@@ -49,8 +52,17 @@ class OutputErrorRegression:
         S = samples(self.structure, dataset, y, u, output_error=e_y, input_error=e_u)
         runs = [S.rows(S.piece == p) for p in np.unique(S.piece)]
         centre = _nominal(S, runs)
-        radius = _radius(S, runs, centre)
-        return _grown(self, dataset, (y, u), S, ParameterBox(centre, radius), tuple(notes))
+        program = _Program(runs, centre)
+        found: list[IntervalModel] = []
+        for gain in GAINS:
+            radius = program.radius(gain)
+            if radius is not None:
+                found += _grown(self, dataset, (y, u), S, ParameterBox(centre, radius), tuple(notes))
+        if not found:
+            raise InputError(
+                "no free run holds every sample", mend="use a bias (bias=True), a higher order or equation-error boxes"
+            )
+        return min(found, key=lambda model: model.modes[0].mean_radius)
 
 
 # ---- centre -----------------------------------------------------------------------------------------------------------
@@ -139,42 +151,65 @@ def _cost(runs: list[Samples], theta: np.ndarray) -> float:
 # ---- radius -----------------------------------------------------------------------------------------------------------
 
 
-def _radius(S: Samples, runs: list[Samples], centre: np.ndarray) -> np.ndarray:
+class _Program:
     """The linear program of the module, on the rows that matter."""
-    from scipy.signal import fftconvolve
 
-    sides, needed = [], []
-    for R in runs:
-        y, z = _simulated(R, centre)
-        impulse = np.zeros(len(R))
-        impulse[0] = 1.0
-        h = np.abs(_filtered(R, centre, impulse[:, None]))
-        sides.append(np.maximum(fftconvolve(np.abs(z), h, axes=0)[: len(R)], 0.0))
-        needed.append(np.abs(R.y - y) + R.output_error)
-    B, bound = np.concatenate(sides), np.concatenate(needed)
-    scale, unit = B.max(axis=0), float(bound.max())
-    scale[scale == 0] = 1.0
-    if unit == 0.0:
-        return np.zeros(B.shape[1])
-    hopeless = (B.max(axis=1) <= 0.0) & (bound > 0.0)
-    if hopeless.any():
-        raise InputError(f"sample {int(np.argmax(hopeless)) + 1}: no parameter acts on the output", mend="use a bias (bias=True)")
-    B, bound = B / scale, bound / unit
-    program = RowProgram(B.mean(axis=0), 0.0, np.inf)
-    new = np.argsort(-bound)[: 8 * B.shape[1]]
-    while len(new):
-        program.add(B[new], bound[new])
-        x, _ = program.solve()
-        short = bound - B @ x
-        new = np.argsort(-short)[: 4 * B.shape[1]]
-        new = new[short[new] > 1e-9]
-    return np.maximum(x, 0.0) * unit / scale
+    def __init__(self, runs: list[Samples], centre: np.ndarray):
+        from scipy.signal import fftconvolve
+
+        sides, needed = [], []
+        self.loop = np.zeros(len(centre))
+        for R in runs:
+            y, z = _simulated(R, centre)
+            h = _impulse(R, centre, len(R))
+            sides.append(np.maximum(fftconvolve(np.abs(z), np.abs(h)[:, None], axes=0)[: len(R)], 0.0))
+            needed.append(np.abs(R.y - y) + R.output_error)
+            self.loop = np.maximum(self.loop, _loop_gains(R, h))
+        self.B, self.bound = np.concatenate(sides), np.concatenate(needed)
+
+    def radius(self, gain: float) -> np.ndarray | None:
+        """The radii of least mean width with a loop gain of at most `gain`; None where none hold every sample."""
+        scale, unit = self.B.max(axis=0), float(self.bound.max())
+        if unit == 0.0:
+            return np.zeros(len(scale))
+        scale[scale == 0] = 1.0
+        B, bound = self.B / scale, self.bound / unit
+        program = RowProgram(B.mean(axis=0), 0.0, np.inf)
+        program.add(self.loop[None] / scale * unit, -np.inf, gain)
+        new = np.argsort(-bound)[: 8 * B.shape[1]]
+        x = np.zeros(len(scale))
+        while len(new):
+            program.add(B[new], bound[new])
+            try:
+                x, _ = program.solve()
+            except InfeasibleError:
+                return None
+            short = bound - B @ x
+            new = np.argsort(-short)[: 4 * B.shape[1]]
+            new = new[short[new] > 1e-9]
+        return np.maximum(x, 0.0) * unit / scale
+
+
+def _impulse(R: Samples, centre: np.ndarray, length: int) -> np.ndarray:
+    """h (length): the output after an equation error of 1 at sample 0."""
+    one = np.zeros((length, 1))
+    one[0] = 1.0
+    return _filtered(R, centre, one)[:, 0]
+
+
+def _loop_gains(R: Samples, h: np.ndarray) -> np.ndarray:
+    """||g_i||_1 (p): what an equation error of 1 adds to z_i in all later samples."""
+    past = R.form.source == 0
+    psi = np.zeros((len(h) + int(R.form.lags.max()), int(past.sum())))
+    for column, lag in enumerate(R.form.lags[past].astype(int)):
+        psi[lag : lag + len(h), column] = h
+    return np.abs(psi @ R.form.T[:, past].T).sum(axis=0)
 
 
 def _grown(
     method: OutputErrorRegression, dataset: Dataset, channels: tuple[str, tuple[str, ...]], S: Samples, box: ParameterBox, notes
-) -> IntervalModel:
-    """The model, its radii enlarged by the smallest common factor found with which its free run holds every sample."""
+) -> list[IntervalModel]:
+    """The model, its radii enlarged by the smallest common factor found with which its free run holds every sample; or none."""
     first, (y, u) = dataset.experiments[0], channels
     unit = float(np.ptp(S.y)) or 1.0
     at = domain_coordinates(S)
@@ -190,9 +225,9 @@ def _grown(
         short, radius = _shortfall(model, dataset)
         if short <= 1.0:
             precision = math.exp(-radius / unit)
-            return replace(model, modes=(replace(mode, mean_radius=radius, precision=precision, inflation=factor),))
+            return [replace(model, modes=(replace(mode, mean_radius=radius, precision=precision, inflation=factor),))]
         factor *= short * (1 + 1e-6)
-    raise InputError("the free run does not hold every sample", mend="use equation-error boxes, or a higher order")
+    return []
 
 
 def _shortfall(model: IntervalModel, dataset: Dataset) -> tuple[float, float]:

@@ -1,0 +1,159 @@
+"""Interval models on the command line and in reports: which method the options ask for, and what its envelopes show."""
+
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+
+from workbench.data import Dataset, Experiment
+from workbench.errors import InputError, check_known
+from workbench.intervals.coverage import Coverage
+from workbench.intervals.model import IntervalModel
+from workbench.intervals.output_error import OutputErrorRegression
+from workbench.intervals.regression import BySchedule, IntervalRegression, InTime, Modes, OneMode
+from workbench.intervals.regressors import ARX, FIR, Structure
+from workbench.intervals.semantics import SEMANTICS
+from workbench.intervals.splitting import MaximumRadius, MeanRadius
+from workbench.report.page import Section, Table
+
+Method = IntervalRegression | OutputErrorRegression
+SIMULATION = "simulation"
+PROMISES = (*SEMANTICS, SIMULATION)
+DEFAULT_ORDER = 2
+
+
+def interval_method(options: Namespace) -> Method:
+    """The method that --model interval and its options ask for. Raises InputError where they contradict each other."""
+    order = options.order or DEFAULT_ORDER
+    structure: Structure = FIR(options.fir) if options.fir else ARX(order, delta=options.form == "delta")
+    if options.fir and options.order:
+        raise InputError("--fir and --order exclude each other", mend="--fir N is the order of a model without feedback")
+    promise = check_known("semantics", options.semantics, PROMISES)
+    if promise == SIMULATION:
+        if options.precision is not None or options.intervals is not None:
+            raise InputError(
+                "simulation boxes have one mode", mend="leave out --precision and --intervals, or --semantics simulation"
+            )
+        if options.input_error is not None:
+            raise InputError("simulation boxes take the inputs as exact", mend="leave out --e-u")
+        return OutputErrorRegression(structure, options.output_error)
+    errors = None if options.input_error is None else [_number(text) for text in names_or_one(options.input_error)]
+    one = errors[0] if errors is not None and len(errors) == 1 else errors
+    return IntervalRegression(structure, SEMANTICS[promise](), _partition(options), options.output_error, one)
+
+
+def _partition(options: Namespace) -> Modes:
+    if options.precision is not None and options.intervals is not None:
+        raise InputError("--precision and --intervals exclude each other", mend="modes along time, or by schedule")
+    if options.intervals is not None:
+        return BySchedule(options.intervals)
+    if options.precision is None:
+        for given, option in (
+            (options.shortest, "--shortest"),
+            (options.tolerance, "--tolerance"),
+            (options.maximum_radius, "--maximum-radius"),
+        ):
+            if given:
+                raise InputError(f"{option} belongs to modes along time", mend="give --precision P as well")
+        return OneMode()
+    criterion = MaximumRadius() if options.maximum_radius else MeanRadius()
+    return InTime(options.precision, options.shortest, criterion, options.tolerance)
+
+
+def names_or_one(text: str) -> Sequence[str]:
+    """The parts of a list of numbers."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"{text!r} is not a number", mend="write e.g. --e-u 0.01 or --e-u 0.01,0.02") from None
+
+
+def fit_outputs(method: Method, dataset: Dataset) -> dict[str, IntervalModel]:
+    """A model for each output, by its name: `interval`, or `interval-w3` where there are several."""
+    outputs = dataset.experiments[0].names_of("output")
+    if len(outputs) == 1:
+        return {method.name: method.fit(dataset, outputs[0])}
+    return {f"{method.name}-{y}": replace(method, name=f"{method.name}-{y}").fit(dataset, y) for y in outputs}
+
+
+def interval_configuration(method: Method) -> dict[str, object]:
+    """What was asked for, for provenance."""
+    return {"interval": str(method)}
+
+
+# ---- what is said ------------------------------------------------------------------------------------------------------
+
+
+def described_modes(model: IntervalModel) -> list[str]:
+    """The model in a few lines: structure, promise, errors, modes and their widths, what the verification did."""
+    lines = [
+        f"{model.name}: {type(model.structure).__name__} of order {model.order} for {model.output}, "
+        f"promise {model.semantics.name}, {len(model.modes)} mode{'s' * (len(model.modes) > 1)}, precision {model.precision:.6g}"
+    ]
+    radius = max(mode.mean_radius for mode in model.modes)
+    inflated = sum(mode.inflated for mode in model.modes)
+    lines.append(
+        f"  mean radius at most {radius:.4g} {model.output.unit} ({100 * radius / model.unit_range:.2g} % of the range); "
+        f"every one of {sum(mode.samples for mode in model.modes)} samples verified, {inflated} needed wider boxes "
+        f"(factor up to 1 + {max(mode.inflation for mode in model.modes) - 1:.1e})"
+    )
+    lines += [f"  note: {note}" for note in model.notes]
+    return lines
+
+
+def covered_verdict(envelopes: Sequence[Coverage]) -> str:
+    """What the envelopes of one model hold of held-out records, with their widths; or of the estimation records."""
+    held = [c for c in envelopes if c.split == "held-out"] or list(envelopes)
+    said = []
+    for horizon in dict.fromkeys(c.horizon for c in held):
+        own = [c for c in held if c.horizon == horizon]
+        inside = sum(c.coverage * c.samples for c in own) / sum(c.samples for c in own)
+        width = sum(c.relative * c.samples for c in own) / sum(c.samples for c in own)
+        said.append(f"{horizon} {100 * inside:.1f} % of the measured values within +-{100 * width:.2g} % of the range")
+    where = "held-out records" if held[0].split == "held-out" else "the records it was made from"
+    return f"Envelopes of {held[0].model} on {where}: {', '.join(said)}."
+
+
+# ---- sections of a report ----------------------------------------------------------------------------------------------
+
+
+def envelope_sections(
+    models: Sequence[IntervalModel], envelopes: Sequence[Coverage], records: Sequence[Experiment]
+) -> list[Section]:
+    """Envelopes with measured data, modes, domains, and the tables behind them."""
+    return [Section("Envelopes", (envelope_table(envelopes),)), Section("Modes", tuple(mode_table(model) for model in models))]
+
+
+def envelope_table(envelopes: Sequence[Coverage]) -> Table:
+    """Every envelope, a row each."""
+    return Table(
+        "Envelopes",
+        ("model", "record", "split", "output", "envelope", "inside [%]", "mean radius", "unit", "share of range [%]",
+         "known [%]", "outer/reached"),
+        tuple(
+            (c.model, c.record, c.split, c.output, str(c.horizon), 100 * c.coverage, c.mean_radius, c.unit, 100 * c.relative,
+             100 * c.valid, c.ratio) for c in envelopes
+        ),
+        caption="inside: measured values within the envelope. known: regressors within the domain of a mode. outer/reached: the "
+        "guaranteed bound of a free run against what a found parameter sequence reaches; 1 means the bound is exact.",
+    )  # fmt: skip
+
+
+def mode_table(model: IntervalModel) -> Table:
+    """Parameter intervals of every mode."""
+    rows = []
+    for i, mode in enumerate(model.modes):
+        where = ", ".join(str(span) for span in mode.spans[:3]) + (
+            f" and {len(mode.spans) - 3} more" if len(mode.spans) > 3 else ""
+        )
+        cells = (f"{c:.5g} +- {r:.2g}" for c, r in zip(mode.box.centre, mode.box.radius, strict=True))
+        rows.append((f"{i}{' (short)' * mode.short}", mode.samples, mode.precision, mode.mean_radius, where, *cells))
+    return Table(
+        f"Modes of {model.name}",
+        ("mode", "samples", "precision", f"mean radius [{model.output.unit}]", "samples of", *model.form.names),
+        tuple(rows),
+        caption="Parameters as centre +- radius; D is the difference (q - 1).",
+    )
