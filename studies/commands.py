@@ -8,24 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from studies.arguments import check_file, find_plant, names, parse_effects, parse_numbers, run_folder
+from studies.results import Result, scores_file
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
 from workbench.provenance import provenance
 from workbench.readers import check_units, read, read_all, write_csv
-from workbench.records import record
 
 INTERVAL = "interval"  # the model kind beside the methods of `workbench.identify`
-
-
-@record
-class Judged:
-    """A model, its file, its scores, and for an interval model its envelopes."""
-
-    model: Any
-    file: str
-    scores: tuple[Any, ...]
-    envelopes: tuple[Any, ...] = ()
 
 
 def run(options: Namespace) -> int:
@@ -156,12 +146,12 @@ def identify(options: Namespace) -> int:
         progress("ilm: skipped, it needs a schedule (--schedule)")
         wanted = tuple(method for method in wanted if method != "ilm")
     methods = {name: METHODS[name]() if options.order is None else METHODS[name](order=options.order) for name in wanted}
-    results: list[Judged] = []
+    results: list[Result] = []
     for method, model in _fitted(options.model, methods, dataset) if wanted else ():
         model.save(folder / f"{method}.json")
         for note in model.notes:
             say(f"note: {method}: {note}")
-        results.append(Judged(model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
+        results.append(Result(model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
     if interval is not None:
         progress(f"{INTERVAL}: identifying")
         for name, model in fit_outputs(interval, dataset).items():
@@ -169,7 +159,7 @@ def identify(options: Namespace) -> int:
             for line in described_modes(model):
                 say(line)
             envelopes = cover(model, dataset, "estimation") + (cover(model, held_out, "held-out") if held_out else ())
-            results.append(Judged(model, str(folder / f"{name}.json"), tuple(c.nominal for c in envelopes), envelopes))
+            results.append(Result(model, str(folder / f"{name}.json"), tuple(c.nominal for c in envelopes), envelopes))
     _say_scores(results)
     _say_envelopes(results)
     if not options.validate:
@@ -195,8 +185,8 @@ def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[t
         from workbench.identify.selection import choose
 
         choice = choose(methods, dataset, progress=progress)
-        judged = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
-        say(f"chosen: {choice.method}; free-run FIT on the last third of the estimation records: {judged}")
+        result = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
+        say(f"chosen: {choice.method}; free-run FIT on the last third of the estimation records: {result}")
         yield choice.method, choice.model
         return
     refused: list[InputError] = []
@@ -220,7 +210,7 @@ def compare(options: Namespace) -> int:
     models = _load_models(options.models)
     if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
         models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
-    results: list[Judged] = []
+    results: list[Result] = []
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
         roles = {
@@ -234,9 +224,9 @@ def compare(options: Namespace) -> int:
             check_units(experiment, {c.name: c.unit for c in known})
         if isinstance(model, IntervalModel):
             envelopes = cover(model, dataset, "held-out")
-            results.append(Judged(model, path, tuple(c.nominal for c in envelopes), envelopes))
+            results.append(Result(model, path, tuple(c.nominal for c in envelopes), envelopes))
             continue
-        results.append(Judged(model, path, _scores(model, None, dataset, options.horizon)))
+        results.append(Result(model, path, _scores(model, None, dataset, options.horizon)))
         for experiment in dataset:
             say(str(residual_test(model, experiment)))
     _say_scores(results)
@@ -304,13 +294,13 @@ def _scores(model, estimation: Dataset | None, held_out: Dataset | None, steps: 
     return scores
 
 
-def _say_scores(results: Sequence[Judged]) -> None:
+def _say_scores(results: Sequence[Result]) -> None:
     """Held-out free runs first, the headline; of the estimation records the free run alone, the rest is in the files."""
     say(f"{'model':8} {'order':>5}  {'record':16} {'split':10} {'output':8} {'horizon':9} {'FIT':>7} {'RM':>7} {'RMSE':>10}")
     from workbench.metrics import horizon_name
 
-    rank = {"free-run": 0, "one-step": 1}
-    scores = [(judged.model, s) for judged in results for s in judged.scores]
+    rank: dict[Any, int] = {"free-run": 0, "one-step": 1}
+    scores = [(result.model, s) for result in results for s in result.scores]
     scores = [(model, s) for model, s in scores if s.split == "held-out" or s.horizon == "free-run"]
     scores.sort(key=lambda pair: (pair[1].split != "held-out", rank.get(pair[1].horizon, 2), pair[1].output))
     for model, s in scores:
@@ -320,16 +310,16 @@ def _say_scores(results: Sequence[Judged]) -> None:
         )
 
 
-def _say_envelopes(results: Sequence[Judged]) -> None:
+def _say_envelopes(results: Sequence[Result]) -> None:
     """Coverage of held-out records first: an envelope is worth what it holds of records it never saw."""
-    lines = sorted((c for judged in results for c in judged.envelopes), key=lambda c: c.split != "held-out")
+    lines = sorted((c for result in results for c in result.envelopes), key=lambda c: c.split != "held-out")
     for line in lines:
         say(str(line))
 
 
-def _write(options: Namespace, folder: Path, results: Sequence[Judged], configuration, shown: Dataset, files) -> None:
+def _write(options: Namespace, folder: Path, results: Sequence[Result], configuration, shown: Dataset, files) -> None:
     """Scores as JSON and the comparison as a page, with the records of `shown` in its pictures."""
-    from studies.comparison import comparison, scores_file
+    from studies.comparison import comparison
     from workbench.report.page import write_report
 
     source = provenance(configuration, files)
@@ -337,7 +327,7 @@ def _write(options: Namespace, folder: Path, results: Sequence[Judged], configur
     write_json(folder / "scores.json", content)
     if options.json:
         write_json(options.json, content)
-    title = f"{options.command}: {', '.join(judged.model.name for judged in results)}"
+    title = f"{options.command}: {', '.join(result.model.name for result in results)}"
     page = write_report(comparison(title, results, tuple(shown), source), folder)
     say(f"report: {page}")
 

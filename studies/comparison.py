@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 
 from studies.envelopes import covered_verdict, envelope_sections
+from studies.results import Result
 from workbench.data import Experiment
+from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
-from workbench.metrics import Score, to_json
+from workbench.metrics import Score
 from workbench.report import figures
 from workbench.report.page import Picture, Provenance, Report, Section, Table, Text
 from workbench.residuals import residual_test
@@ -56,36 +58,25 @@ def score_table(scores: Sequence[Score]) -> Table:
     )
 
 
-def comparison(title: str, results: Sequence[Any], records: Sequence[Experiment], source: Mapping[str, Any]) -> Report:
-    """A page: which model runs free best on held-out records, then scores, traces on `records`, envelopes, residuals and notes.
-
-    results: model, scores and envelopes of each, as the commands judge them.
-    """
-    scores = [s for judged in results for s in judged.scores]
-    named = {judged.model.name: judged.model for judged in results if isinstance(judged.model, LPVModel)}
-    interval = [judged for judged in results if judged.envelopes]
+def comparison(title: str, results: Sequence[Result], records: Sequence[Experiment], source: Mapping[str, Any]) -> Report:
+    """A page: which model runs free best on held-out records, then scores, traces on `records`, envelopes, residuals, notes."""
+    scores = [s for result in results for s in result.scores]
+    named = {result.model.name: result.model for result in results if isinstance(result.model, LPVModel)}
+    interval = [result.model for result in results if isinstance(result.model, IntervalModel)]
+    envelopes = [c for result in results for c in result.envelopes]
     outputs = list(dict.fromkeys(s.output for s in scores))
     sections = [Section("Scores", tuple(figures.score_dots(scores, output) for output in outputs))]
     if interval:
-        sections += envelope_sections([judged.model for judged in interval], [c for j in interval for c in j.envelopes], records)
+        sections += envelope_sections(interval, envelopes, records)
     if named:
         shown = tuple(traces(e, named, output) for e in records for output in outputs)
         sections += [Section("Measured and simulated", shown), Section("Residuals", (residual_table(named, records),))]
-    notes = [f"{judged.model.name}: {note}" for judged in results for note in judged.model.notes]
+    notes = [f"{result.model.name}: {note}" for result in results for note in result.model.notes]
     if notes:
         sections.append(Section("Notes", (Text("\n\n".join(notes)),)))
     sections.append(Section("Numbers", (score_table(scores),)))
-    said = " ".join([verdict(scores), *(covered_verdict(judged.envelopes) for judged in interval)])
+    said = " ".join([verdict(scores), *(covered_verdict(result.envelopes) for result in results if result.envelopes)])
     return Report(title, said, (*sections, Section("Provenance", (Provenance(source),))))
-
-
-def scores_file(results: Sequence[Any], source: Mapping[str, Any]) -> dict[str, Any]:
-    """The scores file; an interval model's entry holds its "envelopes" besides."""
-    content = to_json([(judged.model, judged.file, judged.scores) for judged in results], dict(source))
-    for entry, judged in zip(content["models"], results, strict=True):
-        if judged.envelopes:
-            entry["envelopes"] = [c.to_dict() for c in judged.envelopes]
-    return content
 
 
 def verdict(scores: Sequence[Score]) -> str:

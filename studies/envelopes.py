@@ -1,24 +1,31 @@
 """Interval models on the command line and in reports: which method the options ask for, and what its envelopes show."""
 
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from workbench.data import Dataset, Experiment
+import numpy as np
+
+from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError, check_known
 from workbench.intervals.coverage import Coverage
-from workbench.intervals.model import IntervalModel
+from workbench.intervals.domains import shadow
+from workbench.intervals.model import IntervalModel, Simulation, domain_coordinates
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import BySchedule, IntervalRegression, InTime, Modes, OneMode
 from workbench.intervals.regressors import ARX, FIR, Structure
 from workbench.intervals.semantics import SEMANTICS
 from workbench.intervals.splitting import MaximumRadius, MeanRadius
-from workbench.report.page import Section, Table
+from workbench.metrics import Horizon, horizon_name
+from workbench.report import figures
+from workbench.report.figures import Trace
+from workbench.report.page import Picture, Section, Table
 
 Method = IntervalRegression | OutputErrorRegression
 SIMULATION = "simulation"
 PROMISES = (*SEMANTICS, SIMULATION)
 DEFAULT_ORDER = 2
+RUNAWAY = 10.0  # ranges of the output beyond which an envelope says nothing
 
 
 def interval_method(options: Namespace) -> Method:
@@ -110,6 +117,9 @@ def covered_verdict(envelopes: Sequence[Coverage]) -> str:
     said = []
     for horizon in dict.fromkeys(c.horizon for c in held):
         own = [c for c in held if c.horizon == horizon]
+        if any(c.relative > 1.0 for c in own):
+            said.append(f"{horizon} wider than the output's own range, it says nothing")
+            continue
         inside = sum(c.coverage * c.samples for c in own) / sum(c.samples for c in own)
         width = sum(c.relative * c.samples for c in own) / sum(c.samples for c in own)
         said.append(f"{horizon} {100 * inside:.1f} % of the measured values within +-{100 * width:.2g} % of the range")
@@ -123,8 +133,64 @@ def covered_verdict(envelopes: Sequence[Coverage]) -> str:
 def envelope_sections(
     models: Sequence[IntervalModel], envelopes: Sequence[Coverage], records: Sequence[Experiment]
 ) -> list[Section]:
-    """Envelopes with measured data, modes, domains, and the tables behind them."""
-    return [Section("Envelopes", (envelope_table(envelopes),)), Section("Modes", tuple(mode_table(model) for model in models))]
+    """Envelopes with measured data, modes along time, domains, and the tables behind them."""
+    shown = [picture for model in models for e in records for picture in envelope_pictures(model, e)]
+    modes = [picture for model in models if len(model.modes) > 1 for picture in mode_pictures(model, records)]
+    title = "what the envelopes hold and how wide they are"
+    horizons: dict[Horizon, None] = {c.horizon: None for c in envelopes}
+    widths = [width_picture(f"{horizon_name(horizon)}: {title}", envelopes, horizon) for horizon in horizons]
+    return [
+        Section("Envelopes", (*widths, *shown, envelope_table(envelopes))),
+        Section("Modes", (*modes, *(mode_table(model) for model in models))),
+    ]
+
+
+def width_picture(title: str, envelopes: Iterable[Coverage], horizon: Horizon) -> Picture:
+    """Coverage against mean radius for one horizon."""
+    own = [c for c in envelopes if c.horizon == horizon]
+    return figures.widths(title, [figures.Width(c.model, c.record, c.mean_radius, 100 * c.coverage) for c in own], own[0].unit)
+
+
+def envelope_pictures(model: IntervalModel, e: Experiment) -> list[Picture]:
+    """One-step envelope (equation-error boxes) and free run of a record, each with the measured values."""
+    measured = Trace(e.channel(model.output.name), e[model.output.name])
+    pictures = []
+    if not isinstance(model.semantics, Simulation):
+        step = model.one_step(e)
+        own = Trace(measured.channel, step.y)
+        title = f"{model.name} on {e.name}: one step ahead"
+        pictures.append(figures.envelope(title, step.t, own, {"one step": figures.Band(step.low, step.high)}))
+    free = model.free_run(e)
+    run = free.run
+    if float(np.ptp(free.y)) * RUNAWAY < free.mean_radius:
+        return pictures  # it grows without limit: the table says so, a picture would show nothing
+    band = figures.Band(run.low, run.high, run.reached_low, run.reached_high)
+    title = f"{model.name} on {e.name}: free run"
+    pictures.append(figures.envelope(title, free.t, Trace(measured.channel, free.y), {"free run": band}, run.nominal))
+    return pictures
+
+
+def mode_pictures(model: IntervalModel, records: Sequence[Experiment]) -> list[Picture]:
+    """The mode that is nearest along each record, and where the modes lie in regressor space."""
+    names = [f"mode {i}" for i in range(len(model.modes))]
+    pictures = []
+    for e in records:
+        step = model.one_step(e)
+        measured = Trace(e.channel(model.output.name), step.y)
+        title = f"{model.name} on {e.name}: modes along time"
+        short = [i for i, mode in enumerate(model.modes) if mode.short]
+        pictures.append(figures.modes_along_time(title, step.t, measured, step.mode.astype(int), names, short))
+    if model.schedule is None and len(model.modes[0].domain.low) > 1:
+        pictures.append(domain_picture(model, records[0]))
+    return pictures
+
+
+def domain_picture(model: IntervalModel, e: Experiment) -> Picture:
+    """The two regressors of the most recent output, or inputs, of every mode, with the samples of a record."""
+    regions = {f"mode {i}": shadow(mode.domain, 0, 1) for i, mode in enumerate(model.modes)}
+    step, at = model.one_step(e), domain_coordinates(model.samples_of(e))
+    first, second = (Channel(name, model.output.unit) for name in model.form.names[:2])
+    return figures.domains(f"{model.name}: where its modes are known", first, second, regions, at[:, :2], step.mode.astype(int))
 
 
 def envelope_table(envelopes: Sequence[Coverage]) -> Table:

@@ -16,7 +16,10 @@ import numpy as np
 
 from plants import WEB_WINDING
 from studies.comparison import residual_table, traces
+from studies.envelopes import covered_verdict
 from studies.experiments import plan
+from studies.results import Result, scores_file
+from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
 from workbench.advice import Advice, advice
 from workbench.data import Channel, Dataset, Experiment, check_held_out
 from workbench.errors import InputError
@@ -26,7 +29,7 @@ from workbench.identify.lti import LTI
 from workbench.identify.ssm import SSM, Candidate, SSMSweep
 from workbench.identify.subspace import PBSID
 from workbench.lpv import LPVModel
-from workbench.metrics import Score, fit, horizon_name, score, to_json
+from workbench.metrics import Score, fit, horizon_name, score
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_all, write_csv
 from workbench.records import record
@@ -118,8 +121,9 @@ def main(
     identified = _identify(records, quick, progress)
     progress("scoring")
     judged = _judge(identified, records, simulated=data is None)
-    for name, model in identified.models.items():
-        model.save(folder / f"{name.lower()}.json")
+    envelopes = identify_envelopes(records.estimation, records.held_out, identified.models, OUTPUT, progress)
+    for name, model in (identified.models | envelopes.models).items():
+        model.save(folder / f"{_file(name)}.json")
     configuration = {
         "study": "web-winding",
         "quick": quick,
@@ -128,21 +132,30 @@ def main(
     }
     source = provenance(configuration, records.files, None if data else seed)
     results = [
-        (model, f"{name.lower()}.json", [s for s in judged.scores if s.model == model.name])
+        Result(model, f"{_file(name)}.json", tuple(s for s in judged.scores if s.model == model.name))
         for name, model in identified.models.items()
     ]
-    content = to_json(results, source)
+    results += [
+        Result(model, f"{_file(name)}.json", tuple(c.nominal for c in envelopes.of(name)), envelopes.of(name))
+        for name, model in envelopes.models.items()
+    ]
+    content = scores_file(results, source)
     write_json(folder / "scores.json", content)
     if json:
         write_json(json, content)
     progress("report")
-    report = _report(records, identified, judged, source, quick)
+    report = _report(records, identified, judged, envelopes, source, quick)
     path = write_report(report, folder)
     _say_tables(records, judged, say)
     for warning in judged.warnings:
         say(f"warning: {warning.record}, {warning.channel}: {warning.sentence}")
     say(f"\n{report.verdict}\n\nreport: {path}")
     return path
+
+
+def _file(name: str) -> str:
+    """A file's stem from a model's name."""
+    return name.lower().replace(", ", "-").replace(" ", "-")
 
 
 # ---- records --------------------------------------------------------------------------------------------------------
@@ -299,6 +312,11 @@ def _verdict(identified: Identified, judged: Judged, quick: bool) -> str:
     return text.strip()
 
 
+def _envelope_verdict(envelopes: Envelopes) -> str:
+    """What interval models add: guarantees on the records, their width, and what one box for each interval of the radius buys."""
+    return " ".join(covered_verdict(envelopes.of(name)) for name in ("interval", "interval by r2", "interval, simulation"))
+
+
 def _machine_fit(e: Experiment) -> float:
     """FIT of the noise-free true machine, driven by a record's logged inputs: what no model can beat by more than luck."""
     return fit(e[OUTPUT], replay(WEB_WINDING, e).experiment[OUTPUT])
@@ -331,18 +349,23 @@ def _band_table(judged: Judged) -> Table:
     )
 
 
-def _report(records: Records, identified: Identified, judged: Judged, source: dict[str, Any], quick: bool) -> Report:
+def _report(
+    records: Records, identified: Identified, judged: Judged, envelopes: Envelopes, source: dict[str, Any], quick: bool
+) -> Report:
     simulated = judged.machine is not None
     shown = [e for e in records.all if e.name in ("prbs2", "rbs", "sine", "rgs")] or list(records.held_out)
+    held = [e for e in shown if records.split(e.name) == "held-out"] or list(records.held_out)
     sections = [
         Section("Scores", (*_score_blocks(records, identified, judged), _band_table(judged))),
         Section("Measured and simulated", tuple(traces(e, identified.models, OUTPUT) for e in shown)),
+        envelope_section(envelopes, held[-1], identified.seconds),
         Section("What the models rest on", tuple(_evidence(records, identified, simulated))),
         Section("Residuals", (residual_table(identified.models, records.held_out, closed_loop=True if simulated else None),)),
         Section("Data", (_data_table(records), *_advice_blocks(judged))),
         Section("Provenance", (Provenance(source),)),
     ]
-    return Report("Web winding machine: LTI, ILM and SSM compared", _verdict(identified, judged, quick), tuple(sections))
+    said = f"{_verdict(identified, judged, quick)} {_envelope_verdict(envelopes)}"
+    return Report("Web winding machine: LTI, ILM, SSM and interval models compared", said, tuple(sections))
 
 
 def _score_blocks(records: Records, identified: Identified, judged: Judged) -> list[Block]:

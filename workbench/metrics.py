@@ -133,10 +133,10 @@ def score(
     return tuple(scores)
 
 
-def to_json(models: Iterable[tuple[LPVModel, str, Iterable[Score]]], provenance: dict[str, Any]) -> dict[str, Any]:
+def to_json(models: Iterable[tuple[Any, str, Iterable[Score]]], provenance: dict[str, Any]) -> dict[str, Any]:
     """The scores file: {"models": [{"model", "file", "order", "scores": [...]}], "provenance"}.
 
-    models: (model, the file it was written to, its scores).
+    models: (model with a name and an order, the file it was written to, its scores).
     """
     return {
         "models": [

@@ -16,7 +16,7 @@ from workbench.records import record
 
 @record
 class Coverage:
-    """One envelope of one record: coverage (share of measured values inside), mean radius [unit], and its share of the range of y.
+    """One envelope of one record: coverage (share of measured values inside), mean radius [unit] and its share of y's range.
 
     valid: share of samples in the domain of a mode. ratio: outer over reached width of a free run, None for one step.
     nominal: FIT, RM, RMSE of the middle of the envelope (one step) or of the nominal run (free run).
@@ -38,10 +38,11 @@ class Coverage:
 
     def __str__(self) -> str:
         width = f"+-{self.mean_radius:.4g} {self.unit}".rstrip() + f" ({100 * self.relative:.2g} % of the range)"
-        reached = "" if self.ratio is None else f", outer/reached {self.ratio:.3g}"
+        reached = f", outer/reached {self.ratio:.3g}" if self.ratio is not None else ""
+        known = f", {100 * self.valid:.1f} % of them where a mode has been seen" if self.valid < 1.0 else ""
         return (
             f"{self.model} on {self.record} ({self.split}), {self.output}, {self.horizon} envelope: "
-            f"holds {100 * self.coverage:.2f} % of {self.samples} values, {width}{reached}"
+            f"holds {100 * self.coverage:.2f} % of {self.samples} values{known}, {width}{reached}"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,0 +1,29 @@
+"""A model with what was found out about it, and the scores file that holds many of them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from workbench.intervals.coverage import Coverage
+from workbench.intervals.model import IntervalModel
+from workbench.lpv import LPVModel
+from workbench.metrics import Score, to_json
+from workbench.records import record
+
+
+@record
+class Result:
+    """A model, its file, its scores, and for an interval model its envelopes."""
+
+    model: LPVModel | IntervalModel
+    file: str
+    scores: tuple[Score, ...]
+    envelopes: tuple[Coverage, ...] = ()
+
+
+def scores_file(results: Sequence[Result], source: dict[str, Any]) -> dict[str, Any]:
+    """The scores file; an interval model's entry holds its "envelopes" besides."""
+    content = to_json([(result.model, result.file, result.scores) for result in results], source)
+    for entry, result in zip(content["models"], results, strict=True):
+        if result.envelopes:
+            entry["envelopes"] = [c.to_dict() for c in result.envelopes]
+    return content
