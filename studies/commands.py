@@ -121,14 +121,14 @@ def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
 
 def identify(options: Namespace) -> int:
     """Fit the models asked for, save them, score them on estimation and held-out records."""
-    from studies.envelopes import described_modes, fit_outputs, interval_configuration, interval_method
+    from studies.envelopes import check_interval_options, described_modes, fit_outputs, interval_configuration, interval_method
     from workbench.identify import METHODS
     from workbench.intervals.coverage import cover
 
     wanted = tuple(METHODS) if options.model in ("all", "best") else names(options.model)
     for method in wanted:
         check_known("model", method, (*METHODS, INTERVAL, "all", "best"))
-    interval = interval_method(options) if INTERVAL in wanted else None
+    interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
     wanted = tuple(method for method in wanted if method != INTERVAL)
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
     dataset = read_all(options.records, **roles)
@@ -136,8 +136,6 @@ def identify(options: Namespace) -> int:
     _check_roles(dataset, wanted)
     if held_out:
         check_held_out(dataset, held_out)
-    folder = run_folder(options.out, "identify")
-
     say(_described(dataset))
     _say_advice(dataset, options.order)
     if held_out:
@@ -146,20 +144,23 @@ def identify(options: Namespace) -> int:
         progress("ilm: skipped, it needs a schedule (--schedule)")
         wanted = tuple(method for method in wanted if method != "ilm")
     methods = {name: METHODS[name]() if options.order is None else METHODS[name](order=options.order) for name in wanted}
+    bounded = {}
+    if interval is not None:  # first, for it refuses most: then nothing is written
+        progress(f"{INTERVAL}: identifying")
+        bounded = fit_outputs(interval, dataset)
+    folder = run_folder(options.out, "identify")
     results: list[Result] = []
     for method, model in _fitted(options.model, methods, dataset) if wanted else ():
         model.save(folder / f"{method}.json")
         for note in model.notes:
             say(f"note: {method}: {note}")
         results.append(Result(model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
-    if interval is not None:
-        progress(f"{INTERVAL}: identifying")
-        for name, model in fit_outputs(interval, dataset).items():
-            model.save(folder / f"{name}.json")
-            for line in described_modes(model):
-                say(line)
-            envelopes = cover(model, dataset, "estimation") + (cover(model, held_out, "held-out") if held_out else ())
-            results.append(Result(model, str(folder / f"{name}.json"), tuple(c.nominal for c in envelopes), envelopes))
+    for name, model in bounded.items():
+        model.save(folder / f"{name}.json")
+        for line in described_modes(model):
+            say(line)
+        envelopes = cover(model, dataset, "estimation") + (cover(model, held_out, "held-out") if held_out else ())
+        results.append(Result(model, str(folder / f"{name}.json"), tuple(c.nominal for c in envelopes), envelopes))
     _say_scores(results)
     _say_envelopes(results)
     if not options.validate:

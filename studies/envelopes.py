@@ -10,7 +10,7 @@ from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError, check_known
 from workbench.intervals.coverage import Coverage
 from workbench.intervals.domains import shadow
-from workbench.intervals.model import IntervalModel, Simulation, domain_coordinates
+from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import BySchedule, IntervalRegression, InTime, Modes, OneMode
 from workbench.intervals.regressors import ARX, FIR, Structure
@@ -46,6 +46,18 @@ def interval_method(options: Namespace) -> Method:
     errors = None if options.input_error is None else [_number(text) for text in names_or_one(options.input_error)]
     one = errors[0] if errors is not None and len(errors) == 1 else errors
     return IntervalRegression(structure, SEMANTICS[promise](), _partition(options), options.output_error, one)
+
+
+def check_interval_options(options: Namespace) -> None:
+    """Refuse options of interval models where none was asked for."""
+    given = {
+        "--fir": options.fir, "--e-y": options.output_error, "--e-u": options.input_error, "--precision": options.precision,
+        "--shortest": options.shortest, "--tolerance": options.tolerance, "--intervals": options.intervals,
+        "--maximum-radius": options.maximum_radius or None,
+    }  # fmt: skip
+    for option, value in given.items():
+        if value is not None:
+            raise InputError(f"{option} belongs to interval models", mend="give --model interval as well")
 
 
 def _partition(options: Namespace) -> Modes:
@@ -138,10 +150,11 @@ def envelope_sections(
     modes = [picture for model in models if len(model.modes) > 1 for picture in mode_pictures(model, records)]
     title = "what the envelopes hold and how wide they are"
     horizons: dict[Horizon, None] = {c.horizon: None for c in envelopes}
-    widths = [width_picture(f"{horizon_name(horizon)}: {title}", envelopes, horizon) for horizon in horizons]
+    several = len({c.model for c in envelopes}) > 1
+    widths = [width_picture(f"{horizon_name(horizon)}: {title}", envelopes, horizon) for horizon in horizons if several]
     return [
         Section("Envelopes", (*widths, *shown, envelope_table(envelopes))),
-        Section("Modes", (*modes, *(mode_table(model) for model in models))),
+        Section("Modes", (*modes, *(table for model in models for table in mode_tables(model)))),
     ]
 
 
@@ -208,18 +221,28 @@ def envelope_table(envelopes: Sequence[Coverage]) -> Table:
     )  # fmt: skip
 
 
-def mode_table(model: IntervalModel) -> Table:
-    """Parameter intervals of every mode."""
-    rows = []
-    for i, mode in enumerate(model.modes):
-        where = ", ".join(str(span) for span in mode.spans[:3]) + (
-            f" and {len(mode.spans) - 3} more" if len(mode.spans) > 3 else ""
-        )
-        cells = (f"{c:.5g} +- {r:.2g}" for c, r in zip(mode.box.centre, mode.box.radius, strict=True))
-        rows.append((f"{i}{' (short)' * mode.short}", mode.samples, mode.precision, mode.mean_radius, where, *cells))
-    return Table(
+def mode_tables(model: IntervalModel) -> tuple[Table, Table]:
+    """Every mode with its samples and precision, and the parameter intervals, a column for each mode."""
+    modes = Table(
         f"Modes of {model.name}",
-        ("mode", "samples", "precision", f"mean radius [{model.output.unit}]", "samples of", *model.form.names),
-        tuple(rows),
-        caption="Parameters as centre +- radius; D is the difference (q - 1).",
+        ("mode", "samples", "precision", f"mean radius [{model.output.unit}]", "made from samples"),
+        tuple(
+            (f"{i}{' (short)' * mode.short}", mode.samples, mode.precision, mode.mean_radius, _spans(mode))
+            for i, mode in enumerate(model.modes)
+        ),
     )
+    boxes = [mode.box for mode in model.modes]
+    parameters = Table(
+        f"Parameters of {model.name}",
+        ("parameter of", *(f"mode {i}" for i in range(len(boxes)))),
+        tuple(
+            (name, *(f"{box.centre[j]:.5g} ± {box.radius[j]:.2g}" for box in boxes)) for j, name in enumerate(model.form.names)
+        ),
+        caption="Centre ± radius of each regressor's parameter; D is the difference q - 1.",
+    )
+    return modes, parameters
+
+
+def _spans(mode: Mode) -> str:
+    """The first stretches that a mode was made from."""
+    return ", ".join(str(span) for span in mode.spans[:3]) + f" and {len(mode.spans) - 3} more" * (len(mode.spans) > 3)

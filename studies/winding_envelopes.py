@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from studies.bounded import bounded, cover_bounded
-from studies.envelopes import described_modes, envelope_pictures, envelope_table, mode_pictures, mode_table, width_picture
+from studies.envelopes import described_modes, envelope_pictures, envelope_table, mode_pictures, mode_tables, width_picture
 from workbench.data import Dataset, Experiment
 from workbench.intervals.coverage import Coverage, cover
 from workbench.intervals.model import IntervalModel
@@ -74,7 +74,7 @@ def envelope_section(envelopes: Envelopes, shown: Experiment, seconds: Mapping[s
     said = "\n\n".join(line for model in envelopes.models.values() for line in described_modes(model)[:2])
     return Section(
         "Guaranteed envelopes",
-        (Text(said), *pictures, _table(envelopes, seconds), mode_table(by_radius), envelope_table(envelopes.lines)),
+        (Text(said), *pictures, _table(envelopes, seconds), *mode_tables(by_radius), envelope_table(envelopes.lines)),
     )
 
 

@@ -20,6 +20,12 @@ from workbench.identify.ilm import ILM
 from workbench.identify.lti import LTI
 from workbench.identify.ssm import SSM
 from workbench.identify.subspace import N4SID, PBSID
+from workbench.intervals.coverage import cover
+from workbench.intervals.model import IntervalModel, load_interval_model
+from workbench.intervals.output_error import OutputErrorRegression
+from workbench.intervals.regression import BySchedule, IntervalRegression, InTime
+from workbench.intervals.regressors import ARX, FIR
+from workbench.intervals.semantics import InclusionAll, InclusionExact, InclusionPaper, Overlap
 from workbench.lpv import Gaussian, LPVModel, PiecewiseLinear, Powers, load_model
 from workbench.metrics import fit, noise_ceiling, rm, rmse, score
 from workbench.physics.controller import Controller, Playback
@@ -34,9 +40,10 @@ from workbench.residuals import residual_test
 from workbench.simulate import Run, Scenario, replay, simulate, simulate_batch
 
 __all__ = [
-    "EFFECTS", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "Channel", "Controller", "Dataset", "Experiment",
-    "Gaussian", "InputError", "LPVModel", "Parameter", "PiecewiseLinear", "Plant", "Playback", "Powers", "Pulley",
-    "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Start", "advice", "check_units", "feedback", "fit",
-    "load_model", "noise_ceiling", "read", "read_all", "replay", "residual_test", "rm", "rmse", "score", "segments",
-    "simulate", "simulate_batch", "write_csv",
+    "ARX", "EFFECTS", "FIR", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "BySchedule", "Channel", "Controller",
+    "Dataset", "Experiment", "Gaussian", "InTime", "InclusionAll", "InclusionExact", "InclusionPaper", "InputError",
+    "IntervalModel", "IntervalRegression", "LPVModel", "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear",
+    "Plant", "Playback", "Powers", "Pulley", "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Start", "advice",
+    "check_units", "cover", "feedback", "fit", "load_interval_model", "load_model", "noise_ceiling", "read", "read_all",
+    "replay", "residual_test", "rm", "rmse", "score", "segments", "simulate", "simulate_batch", "write_csv",
 ]  # fmt: skip

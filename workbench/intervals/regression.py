@@ -51,6 +51,12 @@ class InTime:
     tolerance: float | None = None
     merge: float | None = 0.1
 
+    def __post_init__(self):
+        if not 0.0 < self.precision <= 1.0:
+            raise InputError(
+                f"precision {self.precision:g}, expected 0 < precision <= 1", mend="precision is exp(-radius / range of y)"
+            )
+
 
 @record
 class BySchedule:

@@ -12,7 +12,7 @@ from workbench.intervals.coverage import cover
 from workbench.intervals.domains import Box
 from workbench.intervals.model import IntervalModel, Simulation, load_interval_model
 from workbench.intervals.output_error import OutputErrorRegression
-from workbench.intervals.regression import BySchedule, InTime, IntervalRegression
+from workbench.intervals.regression import BySchedule, IntervalRegression, InTime
 from workbench.intervals.regressors import ARX, FIR
 from workbench.intervals.semantics import InclusionAll, InclusionExact, InclusionPaper, Overlap
 from workbench.intervals.splitting import MaximumRadius
@@ -313,8 +313,6 @@ def test_errors_are_taken_from_the_records_where_nobody_gives_them(records):
         (IntervalRegression(output_error=-1.0), "error bound -1"),
         (IntervalRegression(input_error=(0.0, -0.1)), "error bound -0.1"),
         (IntervalRegression(input_error=(0.0, 0.1, 0.2)), "3 input errors for 2 inputs"),
-        (IntervalRegression(partition=InTime(1.5)), "precision 1.5"),
-        (IntervalRegression(partition=InTime(0.0)), "precision 0"),
         (IntervalRegression(partition=InTime(0.9, 10_000)), "10001 samples"),
         (IntervalRegression(ARX(2), partition=InTime(0.9999999, 20)), "best"),
         (IntervalRegression(ARX(500)), "reaches back 500"),
@@ -324,6 +322,12 @@ def test_errors_are_taken_from_the_records_where_nobody_gives_them(records):
 def test_bad_input_is_refused_with_what_was_expected(records, method, said):
     with pytest.raises(InputError, match=said):
         method.fit(records)
+
+
+@pytest.mark.parametrize("precision", [0.0, -0.1, 1.5, float("nan")])
+def test_a_precision_outside_0_to_1_is_refused(precision):
+    with pytest.raises(InputError, match="expected 0 < precision <= 1"):
+        InTime(precision)
 
 
 def test_regressors_of_zeros_are_refused():
@@ -356,7 +360,7 @@ def test_schedule_intervals_with_few_samples_join_their_neighbour():
 
 
 def test_the_same_regime_met_twice_becomes_one_mode_only_where_the_joint_data_keep_the_precision():
-    """Gain 1, gain 2, gain 1 again: [2] section 5 merges the first and third; a different regime with the same regressors stays."""
+    """Gain 1, gain 2, gain 1 again: the first and third are one; another regime with the same regressors stays apart."""
     random = np.random.default_rng(3)
     u = np.repeat(random.uniform(-1, 1, 300), 3)
     gain = np.where((np.arange(900) >= 300) & (np.arange(900) < 600), 2.0, 1.0)
