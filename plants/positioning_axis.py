@@ -6,7 +6,7 @@ The nominal model leaves out dry friction and offset on purpose: finding them is
 """
 
 from workbench.data import Channel
-from workbench.physics.effects.shaft import Shaft
+from workbench.physics.effects.shaft import Slide
 from workbench.physics.plant import Parameter, Plant
 
 
@@ -32,6 +32,6 @@ POSITIONING_AXIS = Plant(
     equation=equation,
     measure=measure,
     dt=0.001,
-    ports=(Shaft("slide", "v"),),
+    ports=(Slide("slide", "v"),),
     substeps=2,
 )

@@ -9,6 +9,7 @@ from plants import POSITIONING_AXIS
 from workbench.data import Dataset, Experiment
 from workbench.identify import METHODS
 from workbench.identify.selection import choose
+from workbench.intervals.regression import IntervalRegression
 from workbench.metrics import fit, score
 from workbench.readers import read, read_all
 from workbench.simulate import replay
@@ -96,3 +97,15 @@ def test_adding_the_published_friction_brings_the_axis_close():
         return np.median(errors)
 
     assert error({"coulomb@slide": {"level": 20.4, "width": 0.002}}) < 0.4 * error({})
+
+
+@pytest.mark.parametrize("output", ["T1", "T3"])
+@pytest.mark.parametrize("errors", [None, 0.0])
+def test_an_interval_model_of_run_one_holds_it_completely_and_most_of_run_two(output, errors):
+    """All defaults, or the measured values taken as they are: one step ahead, run 2 was never seen."""
+    first, second = (e.select(["S1", "S2", "S3", "I1", "I3", output]) for e in daisy())
+    model = IntervalRegression(output_error=errors, input_error=errors).fit(Dataset((first,)))
+    assert model.one_step(first).coverage == 1.0
+    held_out = model.one_step(second)
+    assert held_out.coverage >= 0.95
+    assert held_out.mean_radius < 0.55 * np.ptp(second[output])
