@@ -89,7 +89,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (CSV or MAT)")
     sub.add_argument("--output", "--outputs", dest="outputs", metavar="A,B", help="output channels (default: by name)")
     sub.add_argument("--inputs", "--input", dest="inputs", metavar="A,B", help="input channels (default: by name)")
-    sub.add_argument("--schedule", metavar="A", help="scheduling channel (default: by name; none for LTI)")
+    sub.add_argument("--schedule", metavar="A", help="scheduling channel (default: by name); none: without one")
     sub.add_argument(
         "--model",
         default="all",

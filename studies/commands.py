@@ -131,8 +131,8 @@ def identify(options: Namespace) -> int:
     interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
     wanted = tuple(method for method in wanted if method != INTERVAL)
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
-    dataset = read_all(options.records, **roles)
-    held_out = read_all(options.validate, **roles) if options.validate else None
+    dataset = _read(options.records, roles)
+    held_out = _read(options.validate, roles) if options.validate else None
     _check_roles(dataset, wanted)
     if held_out:
         check_held_out(dataset, held_out)
@@ -251,6 +251,14 @@ def _load_models(paths: list[str]) -> list:
     return [
         load_interval_model(path) if is_interval else load_model(path) for path, is_interval in zip(paths, interval, strict=True)
     ]
+
+
+def _read(paths: list[str], roles: dict[str, tuple[str, ...]]) -> Dataset:
+    """The records with their roles; `--schedule none` leaves out the channel that its name makes a schedule."""
+    if roles["schedule"] != ("none",):
+        return read_all(paths, **roles)
+    records = read_all(paths, inputs=roles["inputs"], outputs=roles["outputs"])
+    return Dataset(tuple(e.select([c.name for c in e.channels if c.role != "schedule"]) for e in records))
 
 
 def _check_roles(dataset: Dataset, wanted: Sequence[str]) -> None:

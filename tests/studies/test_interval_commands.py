@@ -133,6 +133,28 @@ def test_wrong_options_are_refused_and_nothing_is_written(files, tmp_path, capsy
     assert not out.exists()
 
 
+def test_a_schedule_that_its_name_suggests_can_be_left_out(tmp_path, capsys):
+    e = machine("a", 0)
+    e = Experiment.from_arrays("a", 0.1, inputs={"u": e["u"]}, outputs={"v": e["y"]}, other={"arm": e["rho"] - 0.5})
+    write_csv(e, tmp_path / "a.csv")
+    words = [
+        "identify",
+        str(tmp_path / "a.csv"),
+        "--model",
+        "all",
+        "--order",
+        "2",
+        "--schedule",
+        "none",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    assert main(words) == 0
+    assert "schedule arm" not in capsys.readouterr().out
+    assert (tmp_path / "out" / "ssm.json").exists()
+    assert not (tmp_path / "out" / "ilm.json").exists()
+
+
 def test_options_of_interval_models_belong_to_interval_models(files, tmp_path, capsys):
     assert main(["identify", files[0], *ROLES, "--model", "lti", "--precision", "0.9", "--out", str(tmp_path / "out")]) == 2
     assert "--model interval" in capsys.readouterr().err
