@@ -35,7 +35,7 @@ __all__ = [
 INSTANTS = 15  # samples at which `free_run` looks for the worst sequences when none are given
 NOTHING = 1e-9  # width relative to the signal up to which bounds are rounding, and their ratio says nothing
 SWEEPS = 30  # at most; three to six are the usual
-LONGEST_IN_SPACE = 2500  # samples up to which three states get their exact hull, at 0.5 to 6 ms each
+LONGEST_IN_SPACE = 500  # samples up to which three states get their exact hull: seconds; call `hull` for more
 
 
 @record

@@ -10,6 +10,7 @@ What a model promises is its semantics. Equation-error boxes (`semantics`) hold 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import comb
 from typing import Any, NoReturn
 
@@ -57,7 +58,8 @@ class Mode:
     """An operating mode: its parameter box, where it holds, and what it was made from.
 
     mean_radius: of the envelope over its samples [unit of y]; precision = exp(-mean_radius / range of y). inflation: factor by
-    which the verification enlarged the radii, inflated: samples that asked for it. short: a tail of few samples.
+    which the verification enlarged the radii, inflated: samples that asked for it. short: a tail of few samples. band: bound on
+    a term of the output that is not fed back [unit of y], of simulation boxes.
     """
 
     box: ParameterBox
@@ -69,6 +71,7 @@ class Mode:
     inflation: float = field("", default=1.0, low=1.0)
     inflated: int = 0
     short: bool = False
+    band: float = field("", default=0.0, low=0.0)
 
 
 @record
@@ -249,7 +252,8 @@ class IntervalModel:
             raise InputError("a free run cannot cross a gap", file=experiment.name, mend="cut the record there with trim")
         recursion, mode = self.recursion(S, experiment)
         k = S.index.astype(int)
-        return Simulated(k, experiment.t[k], S.y, mode, free_run(recursion, instants), self.output_error)
+        run = _with_band(free_run(recursion, instants), np.array([m.band for m in self.modes])[mode])
+        return Simulated(k, experiment.t[k], S.y, mode, run, self.output_error)
 
     def recursion(self, S: Samples, experiment: Experiment) -> tuple[Recursion, np.ndarray]:
         """The free run of a record as x+ = A x + q + b w (see `propagation`), and its mode sequence (K).
@@ -331,6 +335,7 @@ class IntervalModel:
                     "inflation": mode.inflation,
                     "inflated": mode.inflated,
                     "short": mode.short,
+                    "band": mode.band,
                     "spans": [vars(span) for span in mode.spans],
                     "domain": mode.domain.to_dict(),
                 }
@@ -380,6 +385,7 @@ def _from_dict(content: dict[str, Any], path) -> IntervalModel:
             entry["inflation"],
             int(entry["inflated"]),
             bool(entry["short"]),
+            entry["band"],
         )
         for entry in content["modes"]
     )
@@ -398,6 +404,16 @@ def _from_dict(content: dict[str, Any], path) -> IntervalModel:
         trained_on=tuple(content["trained_on"]),
         notes=tuple(content["notes"]),
     )
+
+
+def _with_band(run: FreeRun, band: np.ndarray) -> FreeRun:
+    """The bounds widened by a term of the output that may be anything up to `band` (K) at every sample."""
+    if not band.any():
+        return run
+    at = list(run.instants)
+    reached_low, reached_high, low, high = run.reached_low - band, run.reached_high + band, run.low - band, run.high + band
+    ratio = float(np.max((high - low)[at] / (reached_high - reached_low)[at]))
+    return replace(run, low=low, high=high, reached_low=reached_low, reached_high=reached_high, ratio=ratio)
 
 
 def bounds(S: Samples, box: ParameterBox) -> tuple[np.ndarray, np.ndarray]:

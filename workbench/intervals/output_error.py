@@ -1,19 +1,22 @@
 """Simulation-accurate boxes: the free run of the model holds the measured output, sample by sample.
 
     centre   min sum_k (y(k) - y_nom(k))^2,  y_nom the free run from measured inputs                      (output error)
-    radius   min mean_k B_k'radius   subject to   B_k'radius >= |y(k) - y_nom(k)| + e_y,   radius >= 0
+    radius   min mean_k B_k'radius + band   subject to   B_k'radius + band >= |y(k) - y_nom(k)| + e_y,   radius, band >= 0
              B_ki = sum_j |h(k - j)| |z_nom,i(j)|,  h the response of y to an equation error                (first order)
              sum_i radius_i ||g_i||_1 <= g,         g_i the response of z_i to an equation error            (loop gain)
 
-B_k'radius is the first-order half-width of the free run; the true one is up to 1/(1 - g) times as wide. The program is solved
-for several g, from 0 (no uncertainty in the feedback) on; the radii grow by a common factor until the free run itself holds
-every sample, and the narrowest result is taken.
+The band is what no parameter explains cheaper: a bounded term of the output that is not fed back. With radii of 0 it is the
+plain model plus bound on its error, so the box is never wider than that. B_k'radius is the first-order half-width of the free
+run; the true one is up to 1/(1 - g) times as wide. The program is solved for several g, from 0 (no uncertainty in the
+feedback) on, and the answer with the narrowest kernel bound is taken; its radii and band grow by a common factor until the free
+run itself holds every sample.
 
 Such a box says what the outputs of a record can be. It does not say that the record is a trajectory of the model: its
 one-step envelope is narrower than the equation error. It is a hundred times narrower in simulation where sampling is fast.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,15 +25,16 @@ from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.intervals.domains import Hull
 from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
+from workbench.intervals.propagation import kernel
 from workbench.intervals.regression import error_bounds, named_output, spans_of
 from workbench.intervals.regressors import ARX, Samples, Structure, samples
 from workbench.intervals.semantics import ParameterBox
-from workbench.lp import InfeasibleError, RowProgram
+from workbench.lp import RowProgram
 from workbench.records import field, record
 
 GAINS = (0.0, 0.1, 0.3, 0.6)  # of the loop, that are tried
+GROWTH = 20  # enlargements at most
 ITERATIONS = 50  # of the output-error fit
-GROWTH = 12  # enlargements at most
 
 
 @record
@@ -53,16 +57,9 @@ class OutputErrorRegression:
         runs = [S.rows(S.piece == p) for p in np.unique(S.piece)]
         centre = _nominal(S, runs)
         program = _Program(runs, centre)
-        found: list[IntervalModel] = []
-        for gain in GAINS:
-            radius = program.radius(gain)
-            if radius is not None:
-                found += _grown(self, dataset, (y, u), S, ParameterBox(centre, radius), tuple(notes))
-        if not found:
-            raise InputError(
-                "no free run holds every sample", mend="use a bias (bias=True), a higher order or equation-error boxes"
-            )
-        return min(found, key=lambda model: model.modes[0].mean_radius)
+        candidates = [program.radii(gain) for gain in GAINS]
+        at_once = _model(self, dataset, (y, u), S, tuple(notes))
+        return _grown(min((at_once(centre, radii) for radii in candidates), key=lambda m: _kernel_radius(m, dataset)), dataset)
 
 
 # ---- centre -----------------------------------------------------------------------------------------------------------
@@ -167,23 +164,21 @@ class _Program:
             self.loop = np.maximum(self.loop, _loop_gains(R, h))
         self.B, self.bound = np.concatenate(sides), np.concatenate(needed)
 
-    def radius(self, gain: float) -> np.ndarray | None:
-        """The radii of least mean width with a loop gain of at most `gain`; None where none hold every sample."""
-        scale, unit = self.B.max(axis=0), float(self.bound.max())
+    def radii(self, gain: float) -> np.ndarray:
+        """Radii (p) and the band, of least mean width with a loop gain of at most `gain`; (p + 1)."""
+        B = np.column_stack([self.B, np.ones(len(self.B))])
+        scale, unit = B.max(axis=0), float(self.bound.max())
         if unit == 0.0:
             return np.zeros(len(scale))
         scale[scale == 0] = 1.0
-        B, bound = self.B / scale, self.bound / unit
+        B, bound = B / scale, self.bound / unit
         program = RowProgram(B.mean(axis=0), 0.0, np.inf)
-        program.add(self.loop[None] / scale * unit, -np.inf, gain)
+        program.add(np.append(self.loop, 0.0)[None] / scale * unit, -np.inf, gain)
         new = np.argsort(-bound)[: 8 * B.shape[1]]
         x = np.zeros(len(scale))
         while len(new):
             program.add(B[new], bound[new])
-            try:
-                x, _ = program.solve()
-            except InfeasibleError:
-                return None
+            x, _ = program.solve()
             short = bound - B @ x
             new = np.argsort(-short)[: 4 * B.shape[1]]
             new = new[short[new] > 1e-9]
@@ -206,28 +201,45 @@ def _loop_gains(R: Samples, h: np.ndarray) -> np.ndarray:
     return np.abs(psi @ R.form.T[:, past].T).sum(axis=0)
 
 
-def _grown(
-    method: OutputErrorRegression, dataset: Dataset, channels: tuple[str, tuple[str, ...]], S: Samples, box: ParameterBox, notes
-) -> list[IntervalModel]:
-    """The model, its radii enlarged by the smallest common factor found with which its free run holds every sample; or none."""
+def _model(
+    method: OutputErrorRegression, dataset: Dataset, channels: tuple[str, tuple[str, ...]], S: Samples, notes: tuple[str, ...]
+) -> Callable[[np.ndarray, np.ndarray], IntervalModel]:
+    """centre (p), radii and band (p + 1) -> the model with that box."""
     first, (y, u) = dataset.experiments[0], channels
-    unit = float(np.ptp(S.y)) or 1.0
-    at = domain_coordinates(S)
-    factor = 1.0
-    for _ in range(GROWTH):
-        grown = ParameterBox(box.centre, box.radius * factor)
-        mode = Mode(grown, Hull(at), spans_of(S), len(S), 0.0, 1.0)
-        model = IntervalModel(
+    domain, spans = Hull(domain_coordinates(S)), spans_of(S)
+
+    def of(centre: np.ndarray, radii: np.ndarray) -> IntervalModel:
+        mode = Mode(ParameterBox(centre, radii[:-1]), domain, spans, len(S), 0.0, 1.0, band=float(radii[-1]))
+        return IntervalModel(
             name=method.name, dt=dataset.dt, inputs=tuple(first.channel(name) for name in u), output=first.channel(y),
             schedule=None, structure=method.structure, semantics=Simulation(), output_error=S.output_error,
-            input_error=np.zeros(len(u)), unit_range=unit, modes=(mode,), trained_on=dataset.fingerprints, notes=notes,
+            input_error=np.zeros(len(u)), unit_range=float(np.ptp(S.y)) or 1.0, modes=(mode,), trained_on=dataset.fingerprints,
+            notes=notes,
         )  # fmt: skip
-        short, radius = _shortfall(model, dataset)
+
+    return of
+
+
+def _kernel_radius(model: IntervalModel, dataset: Dataset) -> float:
+    """Mean radius of the kernel bound over all records: quick, and at most 1/(1 - g) too wide."""
+    widths = [kernel(model.recursion(model.samples_of(e), e)[0]).width for e in dataset]
+    return model.modes[0].band + float(np.concatenate(widths).mean()) / 2
+
+
+def _grown(model: IntervalModel, dataset: Dataset) -> IntervalModel:
+    """The model, its radii and band enlarged by a common factor with which its free run holds every sample."""
+    mode, factor = model.modes[0], 1.0
+    for _ in range(GROWTH):
+        box = ParameterBox(mode.box.centre, mode.box.radius * factor)
+        grown = replace(model, modes=(replace(mode, box=box, band=mode.band * factor),))
+        short, radius = _shortfall(grown, dataset)
         if short <= 1.0:
-            precision = math.exp(-radius / unit)
-            return [replace(model, modes=(replace(mode, mean_radius=radius, precision=precision, inflation=factor),))]
-        factor *= short * (1 + 1e-6)
-    return []
+            precision = math.exp(-radius / model.unit_range)
+            final = replace(grown.modes[0], mean_radius=radius, precision=precision, inflation=factor)
+            return replace(grown, modes=(final,))
+        # the half-width grows at least in proportion: a step or two suffice, and rounding asks for a little more
+        factor *= short * (1 + 1e-9)
+    raise InputError("the free run does not hold every sample", mend="report this: the check outside the solver failed")
 
 
 def _shortfall(model: IntervalModel, dataset: Dataset) -> tuple[float, float]:
