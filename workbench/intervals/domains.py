@@ -226,7 +226,7 @@ class Hull(_Region):
         value = self._outer(low, high)
         if len(self.low) == 1 or len(self.points) == 1:
             return np.where(value < INSIDE, 0.0, value)
-        # a query whose centre is well inside conv(points) needs no program
+        # a query whose centre lies in conv(points) needs no program
         for k in np.flatnonzero(~((value == 0) & self._surely_inside((low + high) / 2))):
             value[k] = self._gap(low[k], high[k]).value
         return value
@@ -659,10 +659,13 @@ class _Facets:
     middle: np.ndarray
 
     def inside(self, x: np.ndarray) -> np.ndarray:
-        """Which of x (Q, d) keep every facet by more than rounding; chunks keep the products small."""
+        """Which of x (Q, d) keep every facet to 1e-12 of the cloud's spread, well within INSIDE; chunks keep the products small.
+
+        Samples of a two-valued input all lie on facets: those must count without a program.
+        """
         chunk = max(1, 4_000_000 // len(self.normals))
         parts = [x[k : k + chunk] - self.middle for k in range(0, len(x), chunk)]
-        found = [np.all(part @ self.normals.T <= self.offsets - 1e-12, axis=1) for part in parts]
+        found = [np.all(part @ self.normals.T <= self.offsets + 1e-12, axis=1) for part in parts]
         return np.concatenate(found) if found else np.zeros(0, dtype=bool)
 
 
