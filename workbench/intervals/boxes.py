@@ -13,14 +13,14 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, dot, exact, matmul
 from workbench.intervals.regressors import Samples
-from workbench.intervals.semantics import ParameterBox, InclusionPaper, Overlap, Semantics
+from workbench.intervals.semantics import InclusionPaper, Overlap, ParameterBox, Semantics
 from workbench.intervals.worst import WorstRegressor
 from workbench.lp import InfeasibleError, RowProgram
 from workbench.records import field, record
 
-FAR = 1e6  # bound on scaled parameters, so that the program is bounded while it has few rows
 ROUNDS = 200
 TOLERANCE = 2e-9  # of the output's range: what the program calls kept; the rest is the verification's
+GROWTHS = 100  # of the radii in the verification; steps that rounding swallows are doubled
 
 
 @record
@@ -111,15 +111,14 @@ class BoxProgram:
     # ---- what a box leaves open ------------------------------------------------------------------------------------
 
     def slack(self, box: ParameterBox, first: int, last: int) -> np.ndarray:
-        """(last - first, 2): by how much the upper and the lower side are kept, at least; negative: perhaps violated."""
+        """(last - first, 2): by how much the upper and the lower side are kept at the worst regressors; negative: violated."""
         span = slice(first, last)
-        z = self.z[span]
         if not self.worst.blocks:
-            centre = z @ box.centre + self.S.psi[span] @ self.form.d
+            centre = self.z[span] @ box.centre + self.S.psi[span] @ self.form.d
             half = self.size_of_z[span] @ box.radius
             return np.column_stack([centre + half - self.top[span], half - centre + self.bottom[span]])
         c = self.form.d + self.form.T.T @ box.centre
-        above, below = (self.worst.bound(side * c, box.radius, z) for side in (1.0, -1.0))
+        above, below = (self.worst.value(side * c, box.radius, self.S.psi[span]) for side in (1.0, -1.0))
         return np.column_stack([above - self.top[span], below + self.bottom[span]])
 
     def violated(self, box: ParameterBox, first: int, last: int, count: int) -> list[Rows]:
@@ -127,29 +126,16 @@ class BoxProgram:
         slack = self.slack(box, first, last)
         found = []
         for column, side in enumerate((1.0, -1.0)):
-            doubtful = np.flatnonzero(slack[:, column] < -self.tolerance)
-            if len(doubtful) > count:
-                order = np.argpartition(slack[doubtful, column], count)
-                rows = self._truly_violated(box, doubtful[order[:count]] + first, side)
-                if rows is None and self.worst.coupled:  # the bound was too careful with those: look at all the others
-                    rows = self._truly_violated(box, doubtful[order[count:]] + first, side, count)
-            else:
-                rows = self._truly_violated(box, doubtful + first, side)
-            if rows is not None:
-                found.append(rows)
+            k = np.flatnonzero(slack[:, column] < -self.tolerance)
+            if len(k) > count:
+                k = k[np.argpartition(slack[k, column], count)[:count]]
+            if len(k):
+                psi = self.S.psi[first + k]
+                if self.worst.blocks:
+                    c = side * (self.form.d + self.form.T.T @ box.centre)
+                    psi = self.worst.minimum(c, box.radius, psi).psi
+                found.append(self.rows_at(first + k, psi, side))
         return found
-
-    def _truly_violated(self, box: ParameterBox, k: np.ndarray, side: float, count: int | None = None) -> Rows | None:
-        if not len(k):
-            return None
-        if not self.worst.blocks:
-            return self.rows_at(k, self.S.psi[k], side)
-        c = side * (self.form.d + self.form.T.T @ box.centre)
-        found = self.worst.minimum(c, box.radius, self.S.psi[k])
-        short = (self.top[k] if side > 0 else -self.bottom[k]) - found.value
-        chosen = np.flatnonzero(short > self.tolerance)
-        chosen = chosen[np.argsort(-short[chosen])[:count]]
-        return self.rows_at(k[chosen], found.psi[chosen], side) if len(chosen) else None
 
     def proven_slack(self, box: ParameterBox, k: np.ndarray) -> np.ndarray:
         """Lower bounds (len(k), 2) of the slack of samples k, proven in outward-rounded arithmetic.
@@ -158,10 +144,10 @@ class BoxProgram:
         proposed in floating point.
         """
         psi, T, r = self.S.psi[k], self.form.T, self.worst.r
-        c = dot(T.T, box.centre) + self.form.d
+        c, proposed = dot(T.T, box.centre) + self.form.d, self.form.d + T.T @ box.centre
         slack = np.empty((len(k), 2))
         for column, side in enumerate((1.0, -1.0)):
-            C = matmul(self._multipliers(box, side, psi), T) + c * side
+            C = matmul(self.worst.multipliers(side * proposed, box.radius, psi), T) + c * side
             value = (C * psi).sum(axis=1)
             if self.worst.blocks:
                 value = value - (abs(C) * r).sum(axis=1)
@@ -173,19 +159,20 @@ class BoxProgram:
         e = -self.S.output_error if isinstance(self.semantics, Overlap) else self.S.output_error
         return exact(side * self.S.y[k]) + e
 
-    def _multipliers(self, box: ParameterBox, side: float, psi: np.ndarray) -> np.ndarray:
-        c = side * (self.form.d + self.form.T.T @ box.centre)
-        if self.worst.coupled:
-            return self.worst.minimum(c, box.radius, psi).s
-        return self.worst.proposal(c, box.radius, psi @ self.form.T.T)
+    def gain(self, box: ParameterBox, k: np.ndarray) -> np.ndarray:
+        """(len(k), 2): radius'|T psi| at the worst regressors, the slack's derivative by a common factor of the radii."""
+        c = self.form.d + self.form.T.T @ box.centre
+        worst = [self.worst.minimum(side * c, box.radius, self.S.psi[k]).psi for side in (1.0, -1.0)]
+        return np.column_stack([np.abs(psi @ self.form.T.T) @ box.radius for psi in worst])
 
     def mean_radius(self, box: ParameterBox, first: int, last: int) -> float:
         """OC of [2] definition 4 over samples [first, last)."""
         return float(self.weight[first:last].mean(axis=0) @ box.radius)
 
     def _new_solver(self) -> RowProgram:
+        # centres are free: a parameter that no sample determines stays at 0, where a bound would hold it far away
         p = len(self.scale)
-        return RowProgram(np.zeros(2 * p), np.repeat([-FAR, 0.0], p), FAR)
+        return RowProgram(np.zeros(2 * p), np.repeat([-np.inf, 0.0], p), np.inf)
 
 
 def _check_regressors(program: BoxProgram) -> None:
@@ -235,21 +222,26 @@ def smallest_box(S: Samples, semantics: Semantics) -> Verified:
 
 
 def verified(program: BoxProgram, box: ParameterBox, first: int, last: int) -> Verified:
-    """The box with its radii enlarged by the smallest common factor that keeps every sample in [first, last)."""
-    factor, floor, inflated = 1.0, 0.0, None
-    for _ in range(60):
+    """The box with its radii enlarged by the smallest common factor that keeps every sample in [first, last).
+
+    The slack is a concave function of the factor, so that Newton's method from 1 rises to the smallest one and not beyond. Where
+    radii are 0, or so small that the factor would exceed 2, every parameter gets a little radius of its own as well.
+    """
+    factor, floor, push, before, inflated = 1.0, 0.0, 1.0, np.inf, None
+    for _ in range(GROWTHS):
         grown = ParameterBox(box.centre, box.radius * factor + floor / program.scale)
         k = _doubtful(program, grown, first, last)
-        short = np.maximum(-program.proven_slack(grown, k), 0.0).max(axis=1, initial=0.0)
-        inflated = int(np.count_nonzero(short)) if inflated is None else inflated
+        short = np.maximum(-program.proven_slack(grown, k), 0.0)
+        inflated = int(np.count_nonzero(short.any(axis=1))) if inflated is None else inflated
         if not short.any():
             return Verified(grown, program.mean_radius(grown, first, last), factor, inflated)
-        gain = program.size_of_z[k] @ grown.radius - program.worst.reach @ grown.radius
-        needed = float(np.max(short / np.maximum(gain, 1e-300)))
-        if needed < 1e-3:
-            factor *= 1.0 + needed * (1.0 + 1e-6) + 1e-15
-        else:  # radii of 0 (or almost) cannot be scaled: every parameter gets a little
-            floor = max(2.0 * floor, float(short.max()))
+        # a step below the rounding of large parameters leads nowhere: double it until something moves
+        push, before = (2.0 * push if short.max() >= before else 1.0), float(short.max())
+        needed = float(np.max(short / np.maximum(program.gain(grown, k), 1e-300)))
+        if needed < 1.0:
+            factor *= 1.0 + push * (needed * (1.0 + 1e-6) + 1e-15)
+        else:
+            floor += push * max(floor, before)
     raise InputError("no inflation makes this box keep every sample", mend="report this: the check outside the solver failed")
 
 

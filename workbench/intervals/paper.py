@@ -9,7 +9,7 @@ m <= M (1 - b) and n binaries b [methods: one program instead of 2^n]. Kept to c
 [2] Linear time-varying models with interval parameters, sections 4.2 and 4.3.
 """
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -43,13 +43,12 @@ class PaperProgram(BoxProgram):
         r = self.worst.reach / self.scale
         z = np.concatenate([rows.z for rows in self.rows]) / self.scale
         side = np.concatenate([rows.side for rows in self.rows])[:, None]
-        rhs: Any = np.concatenate([rows.rhs for rows in self.rows]) / self.unit
-        upper: Any = np.full(n, LARGE)
-        keep = LinearConstraint(np.hstack([side * z + r, -side * z + r, np.abs(z) + r, np.zeros_like(z)]), lb=rhs)
+        rhs = np.concatenate([rows.rhs for rows in self.rows]) / self.unit
+        keep = LinearConstraint(np.hstack([side * z + r, -side * z + r, np.abs(z) + r, np.zeros_like(z)]), lb=cast(Any, rhs))
         eye, none = np.eye(n), np.zeros((n, n))
         positive = LinearConstraint(np.hstack([eye, none, none, -LARGE * eye]), ub=0.0)
-        negative = LinearConstraint(np.hstack([none, eye, none, LARGE * eye]), ub=upper)
-        limits = Bounds(0.0, np.repeat([LARGE, LARGE, np.inf, 1.0], n))
+        negative = LinearConstraint(np.hstack([none, eye, none, LARGE * eye]), ub=LARGE)
+        limits = Bounds(0.0, cast(Any, np.repeat([LARGE, LARGE, np.inf, 1.0], n)))
         weights = np.concatenate([r, r, cost / self.scale, np.zeros(n)])
         answer = milp(weights, constraints=[keep, positive, negative], bounds=limits, integrality=np.repeat([0, 0, 0, 1], n))
         if answer.x is None:
@@ -72,6 +71,9 @@ class PaperProgram(BoxProgram):
         centre = (z * box.centre).sum(axis=1)
         sides = [centre + half - self.proven_end(k, 1.0), half - centre - self.proven_end(k, -1.0)]
         return np.column_stack([side.low for side in sides])
+
+    def gain(self, box: ParameterBox, k: np.ndarray) -> np.ndarray:
+        return np.repeat((self.weight[k] @ box.radius)[:, None], 2, axis=1)
 
     def mean_radius(self, box: ParameterBox, first: int, last: int) -> float:
         return super().mean_radius(box, first, last) + float(self.worst.reach @ np.abs(box.centre))

@@ -4,7 +4,8 @@
 limit; the next mode begins at the sample that did not fit. The last sample is tested, the last mode is emitted, every window
 starts with N + 1 samples, and a tail that is shorter is emitted and marked. No mode reaches across two records or a gap.
 
-    radius of a mode   mean of radius'(|z_k| + |T| r) over its samples, or their maximum        precision = exp(-radius / range of y)
+    radius of a mode   mean of radius'(|z_k| + |T| r) over its samples, or their maximum
+    precision          exp(-radius / range of y)
 
 The segments are those of the literal algorithm, which solves a linear program at every sample. Most of those need no
 program: a box that keeps the new sample and is not too wide certifies it, and a relaxed program (some of the rows) whose
@@ -13,6 +14,7 @@ optimum is too wide refuses it.
 [2] Linear time-varying models with interval parameters, section 5 and appendices A, B.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -27,22 +29,27 @@ from workbench.records import field, record
 BLOCK = 512  # samples that are tested at once
 SAME = 1e-9  # relative tolerance of the comparison with the limit
 RUNS = 60  # of the bisection
+NEAR = 1e-5  # relative, of the least radius of a mode
+DIGITS = 6  # of the precision that a refusal proposes
+PATIENCE = 8  # runs
 
 
 @record
 class MeanRadius:
     """The mean radius of the envelope over a mode, [2] definition 4. An easy sample lowers it: greedy is not minimal."""
 
-    def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
-        return program.mean_radius(box, first, last) > limit * (1 + SAME)
+    def radius(self, program: BoxProgram, box: ParameterBox, first: int, last: int) -> float:
+        """Of the envelope over samples [first, last), for one box."""
+        return float(program.weight[first:last].mean(axis=0) @ box.radius)
 
 
 @record
 class MaximumRadius:
     """The largest radius of the envelope over a mode. It only grows as samples join: greedy gives the fewest modes."""
 
-    def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
-        return float((program.weight[first:last] @ box.radius).max()) > limit * (1 + SAME)
+    def radius(self, program: BoxProgram, box: ParameterBox, first: int, last: int) -> float:
+        """Of the envelope over samples [first, last), for one box."""
+        return float((program.weight[first:last] @ box.radius).max())
 
 
 Criterion = MeanRadius | MaximumRadius
@@ -80,11 +87,14 @@ def split(program: BoxProgram, precision: float, shortest: int, criterion: Crite
     _check_precision(precision)
     pieces = _pieces(program, shortest)
     found = _attempt(program, pieces, precision, shortest, criterion)
-    if found is None:
-        best = _best_reachable(program, pieces, precision, shortest, criterion)
+    if found.unmet is not None:
+        best = _best_reachable(program, pieces, found, shortest, criterion)
         raise InputError(
             f"precision {precision:g} cannot be met by modes of {shortest + 1} samples",
-            mend=f"the best that can be reached is {best:.6g}: ask for less, allow shorter modes or another structure",
+            file=program.S.records[int(program.S.piece[found.unmet])],
+            mend=f"the best that was reached is {best:.{DIGITS}g}: ask for less, allow shorter modes or another structure"
+            if best
+            else "allow shorter modes or another structure",
         )
     return _emitted(program, found, precision)
 
@@ -108,9 +118,8 @@ def improve(
             break
         middle = (lower + upper) / 2
         found = _attempt(program, pieces, middle, shortest, criterion)
-        if found is not None:
-            solved += found.programs
-        if found is None or len(found.segments) > len(partition):
+        solved += found.programs
+        if found.unmet is not None or len(found.segments) > len(partition):
             upper = middle
         else:
             lower, kept = middle, found
@@ -129,14 +138,15 @@ class _Cut:
 
 @record
 class _Cuts:
-    """Where the segments begin and end, and how many programs that took."""
+    """Where the segments begin and end, how many programs that took, and where a mode began whose first samples are too many."""
 
     segments: tuple[_Cut, ...]
     programs: int
+    unmet: int | None = None
 
 
-def _attempt(program: BoxProgram, pieces: Sequence[tuple[int, int]], precision: float, shortest: int, criterion) -> _Cuts | None:
-    """The segments for a precision; None where even a shortest mode does not keep it."""
+def _attempt(program: BoxProgram, pieces: Sequence[tuple[int, int]], precision: float, shortest: int, criterion) -> _Cuts:
+    """The segments for a precision, up to the first one of which even the shortest mode does not keep it."""
     limit = -math.log(precision) * program.unit
     segments: list[_Cut] = []
     window = _Window(program, limit, criterion)
@@ -147,7 +157,7 @@ def _attempt(program: BoxProgram, pieces: Sequence[tuple[int, int]], precision: 
                 segments.append(_Cut(begin, last, short=True))
                 break
             if not window.open(begin, begin + shortest + 1):
-                return None
+                return _Cuts(tuple(segments), window.programs, unmet=begin)
             end = window.advance(last)
             segments.append(_Cut(begin, end, short=False))
             begin = end
@@ -242,7 +252,7 @@ def _pieces(program: BoxProgram, shortest: int) -> list[tuple[int, int]]:
         raise InputError(f"shortest mode N = {shortest}", mend="give at least 1: with 0 no mode ever grows")
     piece = program.S.piece
     edges = [0, *(np.flatnonzero(np.diff(piece)) + 1).tolist(), len(piece)]
-    pieces = [(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    pieces = list(itertools.pairwise(edges))
     longest = max(b - a for a, b in pieces)
     if shortest + 1 > longest:
         raise InputError(
@@ -263,15 +273,38 @@ def _ceiling(program: BoxProgram) -> float:
     return math.exp(-float(narrowest) / program.unit)
 
 
-def _best_reachable(program: BoxProgram, pieces: Sequence[tuple[int, int]], precision: float, shortest: int, criterion) -> float:
-    """A precision that was reached, within 1e-4 of one that was not."""
-    lower, upper = 0.0, precision
-    for _ in range(RUNS):
-        if upper - lower <= 1e-4 * upper:
+def _best_reachable(
+    program: BoxProgram, pieces: Sequence[tuple[int, int]], failed: _Cuts, shortest: int, criterion: Criterion
+) -> float:
+    """The first precision that is reached, on the way down from one mode that failed to the next; 0 if none is.
+
+    A mode that failed says how wide its envelope has to be, so no precision above that helps it. Precisions are tried with the
+    digits they are reported with.
+    """
+    tried: float = 1.0
+    for n in range(RUNS):
+        if failed.unmet is None:
+            return tried
+        needed = _narrowest(program, failed.unmet, failed.unmet + shortest + 1, criterion)
+        unit = 10.0 ** (DIGITS - 1 - math.floor(math.log10(max(math.exp(-needed / program.unit), 1e-300))))
+        # from one failure to the next nearly the same width is needed: after some of them take longer steps
+        tried = min(math.floor(math.exp(-needed / program.unit) * unit), round(tried * unit) - 2 ** max(n - PATIENCE, 0)) / unit
+        if tried <= 0.0:
             break
-        middle = (lower + upper) / 2
-        if _attempt(program, pieces, middle, shortest, criterion) is None:
-            upper = middle
+        failed = _attempt(program, pieces, tried, shortest, criterion)
+    return 0.0
+
+
+def _narrowest(program: BoxProgram, first: int, last: int, criterion: Criterion) -> float:
+    """The least radius, by the criterion, of one box over [first, last); from above, within NEAR of it."""
+    program.start(first, last)
+    box = program.solve(first, last)
+    low, high = MeanRadius().radius(program, box, first, last), criterion.radius(program, box, first, last)
+    while high - low > NEAR * high:
+        middle = (low + high) / 2
+        window = _Window(program, middle, criterion)
+        if window.open(first, last):
+            high = criterion.radius(program, window.box, first, last)
         else:
-            lower = middle
-    return lower
+            low = middle
+    return high
