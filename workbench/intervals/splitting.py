@@ -42,6 +42,9 @@ class MeanRadius:
         """Of the envelope over samples [first, last), for one box."""
         return float(program.weight[first:last].mean(axis=0) @ box.radius)
 
+    def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
+        return self.radius(program, box, first, last) > limit * (1 + SAME)
+
 
 @record
 class MaximumRadius:
@@ -50,6 +53,9 @@ class MaximumRadius:
     def radius(self, program: BoxProgram, box: ParameterBox, first: int, last: int) -> float:
         """Of the envelope over samples [first, last), for one box."""
         return float((program.weight[first:last] @ box.radius).max())
+
+    def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
+        return self.radius(program, box, first, last) > limit * (1 + SAME)
 
 
 Criterion = MeanRadius | MaximumRadius
