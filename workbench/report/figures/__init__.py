@@ -5,22 +5,40 @@ the same data give the same bytes everywhere.
 """
 
 from workbench.report.figures.canvas import BEYOND, PIXELS, WIDTH, Trace
+from workbench.report.figures.envelopes import Band, Width, envelope, widths
 from workbench.report.figures.identification import order_sweep, singular_values, sparsity_path
+from workbench.report.figures.modes import (
+    ParameterInterval,
+    domains,
+    modes_against_precision,
+    modes_along_time,
+    parameters_along_time,
+)
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses
 from workbench.report.figures.scores import score_dots
-from workbench.report.figures.simulation import measured_and_simulated
+from workbench.report.figures.simulation import measured_and_simulated, responses
 
 __all__ = [
     "BEYOND",
     "PIXELS",
     "WIDTH",
+    "Band",
     "Coefficient",
+    "ParameterInterval",
     "Trace",
+    "Width",
     "coefficient_functions",
+    "domains",
+    "envelope",
     "frozen_responses",
     "measured_and_simulated",
+    "modes_against_precision",
+    "modes_along_time",
     "order_sweep",
+    "parameters_along_time",
+    "responses",
     "score_dots",
     "singular_values",
     "sparsity_path",
+    "widths",
 ]

@@ -14,6 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -29,6 +30,8 @@ from workbench.report.svg import printable
 WIDTH = 7.2
 #: Pixel columns a trace is drawn for.
 PIXELS = 600
+#: Places along an axis that dots are drawn for.
+PLACES = 150
 #: A simulation may leave the range of the measurement by this many of its spans before the picture cuts it off.
 BEYOND = 0.75
 
@@ -141,6 +144,35 @@ def trace(
 ) -> Line2D:
     """A line over time, which breaks where samples are missing."""
     return line(axes, *broken(t, y), colour, gid, dash=dash, width=width)
+
+
+def band(
+    axes: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: Colour, gid: str, *, outline: float = 0.8
+) -> PolyCollection:
+    """The area between low and high with a line on either side: as a mere tint, a band thinner than a pixel is lost."""
+    keep = np.union1d(extremes(x, low, PIXELS), extremes(x, high, PIXELS))
+    x, low, high = x[keep], low[keep], high[keep]
+    for side, values in (("low", low), ("high", high)):
+        axes.plot(x, values, color=colour.light, linewidth=outline, gid=f"{gid}-{side}")
+    return axes.fill_between(x, low, high, color=colour.light, alpha=0.22, linewidth=0, gid=gid)
+
+
+def band_along(
+    axes: Axes, t: np.ndarray, low: np.ndarray, high: np.ndarray, colour: Colour, gid: str, *, outline: float = 0.8
+) -> PolyCollection:
+    """A band over time, which breaks where samples or one of their bounds are missing."""
+    whole = np.where(np.isfinite(low) & np.isfinite(high), 0.0, np.nan)
+    (x, below), (_, above) = broken(t, low + whole), broken(t, high + whole)
+    return band(axes, x, below, above, colour, gid, outline=outline)
+
+
+def dots(axes: Axes, x: np.ndarray, y: np.ndarray, colour: Colour, gid: str, *, size: float = 3.0) -> Line2D:
+    """Dots that may be many: of those in one place along x the lowest and the highest stay."""
+    order = np.argsort(x, kind="stable")
+    x, y = np.asarray(x, float)[order], np.asarray(y, float)[order]
+    keep = extremes(x, y, PLACES)
+    (drawn,) = axes.plot(x[keep], y[keep], "o", color=colour.light, markersize=size, markeredgewidth=0, gid=gid, clip_on=False)
+    return drawn
 
 
 def broken(t: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,9 +7,13 @@ from matplotlib.axes import Axes
 
 import workbench.report.figures.canvas as canvas
 from workbench.data import Channel
+from workbench.errors import InputError
 from workbench.report.figures.canvas import Trace
 from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MEASURED, MUTED
+
+#: A response this many times larger than the usual one is cut off.
+_FAR = 5.0
 
 
 def measured_and_simulated(
@@ -56,6 +60,60 @@ def measured_and_simulated(
         Data(f"{channel.name} {name}", tuple(columns)),
         f"Line chart over {t[-1] - t[0]:g} s: measured {channel.name} and {', '.join(traces) or 'no model'}, errors below",
     )
+
+
+def responses(title: str, t: np.ndarray, curves: Mapping[str, np.ndarray], unit: str = "") -> Picture:
+    """Several responses to the same input in one panel, each named at its end; in a legend where the names would collide.
+
+    t (N) [s]; curves: samples (N) [unit] by name. A response many times larger than the others is cut off, and named.
+    """
+    t = np.asarray(t, float)
+    traces = {name: canvas.of_length(values, len(t), name) for name, values in curves.items()}
+    if not traces or not len(t):
+        raise InputError(f"{title}: no responses to draw", mend="give at least one curve over at least one sample")
+    top, cut = _reach(traces)
+    with canvas.style():
+        figure = canvas.sheet(3.0)
+        axes = figure.subplots()
+        handles = [
+            canvas.trace(axes, t, np.clip(v, -9 * top, 9 * top), canvas.colour(i), f"curve-{i}", dash=canvas.dash(i), width=1.3)
+            for i, v in enumerate(traces.values())
+        ]
+        drawn = np.concatenate([v[np.isfinite(v) & (np.abs(v) <= top)] for v in traces.values()])
+        low, high = float(drawn.min(initial=0.0)), float(drawn.max(initial=0.0))
+        axes.set_ylim(low - 0.05 * (high - low or 1.0), high + 0.05 * (high - low or 1.0))
+        axes.set_ylabel(canvas.label(Channel("response", unit)))
+        axes.set_xlabel("t [s]")
+        if not _named_at_ends(axes, t, traces):
+            canvas.legend(figure, handles, list(traces))
+        svg = canvas.render(figure)
+    return Picture(
+        title,
+        svg,
+        f"Responses to the same input: {', '.join(traces)}." + (f" Off the picture in part: {', '.join(cut)}." if cut else ""),
+        Data(title, (Column("t", t, "s"), *(Column(name, values, unit) for name, values in traces.items()))),
+        f"Line chart of {len(traces)} responses over {t[-1] - t[0]:g} s: {', '.join(traces)}",
+    )
+
+
+def _reach(traces: Mapping[str, np.ndarray]) -> tuple[float, list[str]]:
+    """The size of a response that still has its place in the picture, and the names of those that go beyond."""
+    peaks = {name: float(np.max(np.abs(v[np.isfinite(v)]), initial=0.0)) for name, v in traces.items()}
+    usual = float(np.median([peak for peak in peaks.values() if peak > 0] or [1.0]))
+    top = _FAR * usual
+    return top, [name for name, v in traces.items() if peaks[name] > top or np.any(np.isinf(v))]
+
+
+def _named_at_ends(axes: Axes, t: np.ndarray, traces: Mapping[str, np.ndarray]) -> bool:
+    """Write the names to the right of the last samples if each has a line of text for itself; whether that was done."""
+    ends = np.array([values[-1] for values in traces.values()])
+    (low, high), lines = axes.get_ylim(), 15  # lines of text that fit one above the other
+    apart = np.diff(np.sort(ends)) >= (high - low) / lines
+    if not (np.all((ends >= low) & (ends <= high)) and np.all(apart)):
+        return False
+    for name, end in zip(traces, ends, strict=True):
+        axes.annotate(canvas.short(name, 20), (t[-1], end), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
+    return True
 
 
 def _limit_errors(axes: Axes, own: np.ndarray, errors: list[np.ndarray]) -> set[int]:
