@@ -10,4 +10,10 @@ def _web_winding() -> ModuleType:
     return web_winding
 
 
-STUDIES: dict[str, Callable[[], ModuleType]] = {"web-winding": _web_winding}
+def _welding_robot() -> ModuleType:
+    from studies import welding_robot
+
+    return welding_robot
+
+
+STUDIES: dict[str, Callable[[], ModuleType]] = {"web-winding": _web_winding, "welding-robot": _welding_robot}
