@@ -76,10 +76,11 @@ class Meeting:
 
 @record
 class Choice:
-    """For every sample the domain that was chosen, `index` (Q), and the gauge (Q) in it."""
+    """For every sample the domain that was chosen, `index` (Q), the gauge (Q) in it, and the domains that hold it, (Q, M)."""
 
     index: np.ndarray
     gauge: np.ndarray = field("Q", low=0.0)
+    holds: np.ndarray = field(None)
 
 
 @record
@@ -209,7 +210,8 @@ class Hull(_Region):
             raise InputError("radii must be finite and not negative")
         both = np.unique(np.hstack([self.points, radii]), axis=0)
         points, radii = np.hsplit(both, 2)
-        facets, corners = _facets(points)
+        span, size = np.ptp(points, axis=0), np.abs(points).max(axis=0)
+        facets, corners = _facets(points, np.where(span > FLAT * size, span, np.where(size > 0, size, 1.0)))
         if corners is not None and np.all(radii == radii[0]):
             points, radii = points[corners], radii[corners]
         for name, value in (("points", points), ("radii", radii)):
@@ -227,13 +229,26 @@ class Hull(_Region):
         if len(self.low) == 1 or len(self.points) == 1:
             return np.where(value < INSIDE, 0.0, value)
         # a query whose centre lies in conv(points) needs no program
-        for k in np.flatnonzero(~((value == 0) & self._surely_inside((low + high) / 2))):
+        for k in np.flatnonzero(~((value == 0) & (self._side((low + high) / 2) > 0))):
             value[k] = self._gap(low[k], high[k]).value
         return value
 
-    def _surely_inside(self, x: np.ndarray) -> np.ndarray:
+    def holds(self, x: np.ndarray) -> np.ndarray:
+        """Which of the points x (Q, d) lie in the domain: gauge == 0, without a program but for those too close to a facet."""
+        x = _queries(x, None, len(self.low))[0]
+        held = self._outer(x, x) < INSIDE
+        if np.all(self.radii == 0.0):
+            side = self._side(x)
+            doubtful = np.flatnonzero(held & (side == 0))
+            held &= side > 0
+        else:  # facets of the points alone: outside of them the radii decide
+            doubtful = np.flatnonzero(held & (self._side(x) <= 0))
+        held[doubtful] = self._gauge(x[doubtful], x[doubtful]) == 0.0
+        return held
+
+    def _side(self, x: np.ndarray) -> np.ndarray:
         facets: _Facets | None = self._inner  # type: ignore[attr-defined]
-        return np.zeros(len(x), dtype=bool) if facets is None else facets.inside(x)
+        return np.zeros(len(x), dtype=int) if facets is None else facets.side(x)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers: {"points": [[...]], "radii": [[...]]}."""
@@ -258,6 +273,10 @@ class Box(_Region):
     def _gauge(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         value = self._outer(low, high)
         return np.where(value < INSIDE, 0.0, value)
+
+    def holds(self, x: np.ndarray) -> np.ndarray:
+        """Which of the points x (Q, d) lie in the box."""
+        return self.gauge(x) == 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers: {"low": [...], "high": [...]}."""
@@ -303,35 +322,41 @@ def _chain(corners: np.ndarray) -> list[np.ndarray]:
     return chain
 
 
-def nearest(domains: Sequence[Domain], x: np.ndarray, radius: np.ndarray | None = None, *, hold: bool = False) -> Choice:
-    """The domain with the smallest gauge for every sample; x and radius (Q, d), samples in the order of time.
+def nearest(domains: Sequence[Domain], x: np.ndarray, *, hold: bool = False) -> Choice:
+    """The domain with the smallest gauge for every sample; x (Q, d), samples in the order of time.
 
     Ties go to the first domain. With `hold` a sample inside the domain chosen for the sample before stays there, so that
-    overlapping domains do not make a model switch to and fro. Outer boxes spare the programs that cannot win.
+    overlapping domains do not make a model switch to and fro.
     """
     if not domains:
         raise InputError("no domains to choose from")
     for other in domains[1:]:
         _same_dimension(domains[0], other)
-    x, radius = _queries(x, radius, len(domains[0].low))
-    bound = np.column_stack([domain._outer(x - radius, x + radius) for domain in domains])
-    bound[bound < INSIDE] = 0.0
+    x, _ = _queries(x, None, len(domains[0].low))
+    holds = np.column_stack([domain.holds(x) for domain in domains])
+    index, gauge = np.argmax(holds, axis=1), np.zeros(len(x))
+    outside = np.flatnonzero(~holds.any(axis=1))
+    index[outside], gauge[outside] = _closest(domains, x[outside])
+    if hold:
+        for k in range(1, len(index)):
+            if holds[k, index[k - 1]]:
+                index[k] = index[k - 1]
+    return Choice(index, gauge, holds)
+
+
+def _closest(domains: Sequence[Domain], x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Domain of smallest gauge and that gauge for every sample outside all of them; outer boxes spare what cannot win."""
+    bound = np.column_stack([domain._outer(x, x) for domain in domains])
     gauge, best = np.full(bound.shape, np.inf), np.full(len(x), np.inf)
     order = np.argsort(bound, axis=1, kind="stable")
     for rank in range(len(domains)):
         for j, domain in enumerate(domains):
-            # among domains that hold a sample the later one matters only to `hold`
-            mine = order[:, rank] == j
-            ask = np.flatnonzero(mine & ((bound[:, j] <= best) if hold else (bound[:, j] <= best) & (best > 0)))
+            ask = np.flatnonzero((order[:, rank] == j) & (bound[:, j] <= best))
             if len(ask):
-                gauge[ask, j] = domain._gauge((x - radius)[ask], (x + radius)[ask])
+                gauge[ask, j] = domain._gauge(x[ask], x[ask])
                 best[ask] = np.minimum(best[ask], gauge[ask, j])
     index = np.argmin(gauge, axis=1)
-    if hold:
-        for k in range(1, len(index)):
-            if gauge[k, index[k - 1]] == 0:
-                index[k] = index[k - 1]
-    return Choice(index, gauge[np.arange(len(x)), index])
+    return index, gauge[np.arange(len(x)), index]
 
 
 # ---- aggregation ----------------------------------------------------------------------------------------------------
@@ -652,45 +677,69 @@ def _without_opposites(rows: np.ndarray) -> np.ndarray:
 
 @record
 class _Facets:
-    """normals (x - middle) <= offsets: conv(points), each row of unit length in whitened coordinates."""
+    """normals (x - middle) <= offsets: conv(points) within its affine hull, flat (x - middle) = 0 where it is not full.
+
+    Rows are of unit length in whitened coordinates. reach, flat_reach: how far a row moves when the domain is widened by 1 s.
+    """
 
     normals: np.ndarray
     offsets: np.ndarray
+    flat: np.ndarray
     middle: np.ndarray
+    reach: np.ndarray
+    flat_reach: np.ndarray
 
-    def inside(self, x: np.ndarray) -> np.ndarray:
-        """Which of x (Q, d) keep every facet to 1e-12 of the cloud's spread, well within INSIDE; chunks keep the products small.
+    def side(self, x: np.ndarray) -> np.ndarray:
+        """For x (Q, d): 1 inside to 1e-12 of the cloud's spread, -1 outside by a gauge above INSIDE, 0 too close to tell.
 
         Samples of a two-valued input all lie on facets: those must count without a program.
         """
-        chunk = max(1, 4_000_000 // len(self.normals))
-        parts = [x[k : k + chunk] - self.middle for k in range(0, len(x), chunk)]
-        found = [np.all(part @ self.normals.T <= self.offsets + 1e-12, axis=1) for part in parts]
-        return np.concatenate(found) if found else np.zeros(0, dtype=bool)
+        rows = len(self.normals) + len(self.flat)
+        chunk = max(1, 4_000_000 // max(rows, 1))  # keeps the products small
+        parts = [self._sides(x[k : k + chunk] - self.middle) for k in range(0, len(x), chunk)]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
+
+    def _sides(self, part: np.ndarray) -> np.ndarray:
+        beyond = np.hstack([part @ self.normals.T - self.offsets, np.abs(part @ self.flat.T)])
+        reach = np.concatenate([self.reach, self.flat_reach])
+        outside = np.any(beyond > 2 * INSIDE * reach + 1e-12, axis=1)
+        return np.where(outside, -1, np.where(np.all(beyond <= 1e-12, axis=1), 1, 0))
 
 
-def _facets(points: np.ndarray) -> tuple[_Facets | None, np.ndarray | None]:
-    """Facets and corners of conv(points) by Qhull; None where it is flat, has too few points or too many dimensions."""
+def _facets(points: np.ndarray, scale: np.ndarray) -> tuple[_Facets | None, np.ndarray | None]:
+    """Facets of conv(points) by Qhull, and its corners where it is not flat; None in too many dimensions."""
+    m, d = points.shape
+    middle = points.mean(axis=0)
+    # delayed values of one signal lie near a plane: whitened, they do not trouble Qhull
+    triangle: Any = np.linalg.qr((points - middle) / scale, mode="r")
+    _, size, axes = np.linalg.svd(triangle, full_matrices=True)
+    size = np.concatenate([size, np.zeros(d - len(size))])
+    rank = int(np.sum(size > FLAT * max(size[0], FLAT * np.sqrt(m))))
+    if d < 2 or rank > FACET_DIMENSIONS:
+        return None, None
+    whiten = axes[:rank].T * (np.sqrt(m) / size[:rank]) / scale[:, None]
+    equations, corners = _hull_equations((points - middle) @ whiten)
+    if equations is None:
+        return None, None
+    normals, flat = equations[:, :-1] @ whiten.T, axes[rank:] / scale
+    facets = _Facets(normals, -equations[:, -1], flat, middle, np.abs(normals) @ scale, np.abs(flat) @ scale)
+    return facets, corners if rank == d else None
+
+
+def _hull_equations(points: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Rows normal'x + offset <= 0 of conv(points) (m, r), and the corners' numbers."""
     from scipy.spatial import ConvexHull, QhullError
 
-    m, d = points.shape
-    if not 2 <= d <= FACET_DIMENSIONS or m <= d:
-        return None, None
-    middle = points.mean(axis=0)
-    span = np.ptp(points, axis=0)
-    if np.any(span <= FLAT * np.abs(points).max(axis=0)):
-        return None, None
-    # delayed values of one signal lie near a plane: whitened, they do not trouble Qhull
-    _, size, axes = np.linalg.svd((points - middle) / span, full_matrices=False)
-    if size[-1] <= FLAT * size[0]:
-        return None, None
-    whiten = (axes.T * (np.sqrt(m) / size)) / span[:, None]
+    r = points.shape[1]
+    if r == 0:
+        return np.zeros((0, 1)), None
+    if r == 1:
+        return np.array([[1.0, -points.max()], [-1.0, points.min()]]), None
     try:
-        hull = ConvexHull((points - middle) @ whiten)
+        hull = ConvexHull(points)
     except QhullError:
         return None, None
-    equations = np.unique(hull.equations, axis=0)
-    return _Facets(equations[:, :-1] @ whiten.T, -equations[:, -1], middle), np.sort(hull.vertices)
+    return np.unique(hull.equations, axis=0), np.sort(hull.vertices)
 
 
 def _queries(x: np.ndarray, radius: np.ndarray | None, d: int) -> tuple[np.ndarray, np.ndarray]:

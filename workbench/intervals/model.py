@@ -224,10 +224,7 @@ class IntervalModel:
         chosen = nearest([mode.domain for mode in self.modes], at, hold=True)
         low, high = np.full(len(S), np.inf), np.full(len(S), -np.inf)
         for j, mode in enumerate(self.modes):
-            asked = chosen.index == j
-            inside = (chosen.gauge == 0.0) & ~asked & (mode.domain.outer_gauge(at) == 0.0)
-            rows = np.flatnonzero(inside)
-            asked[rows[mode.domain.gauge(at[rows]) == 0.0]] = True
+            asked = chosen.holds[:, j] | (chosen.index == j)
             if asked.any():
                 ends = bounds(S.rows(asked), mode.box)
                 low[asked], high[asked] = np.minimum(low[asked], ends[0]), np.maximum(high[asked], ends[1])
@@ -300,7 +297,7 @@ class IntervalModel:
         mode, present, x = np.empty(len(step.f), dtype=int), -1, start
         for k in range(len(mode)):
             at = (step.C @ x + step.f[k])[moving][None]
-            if present < 0 or domains[present].gauge(at)[0] > 0.0:
+            if present < 0 or not domains[present].holds(at)[0]:
                 present = int(nearest(domains, at).index[0])
             mode[k] = present
             x = step.A[present] @ x + step.last * step.g[k, present]

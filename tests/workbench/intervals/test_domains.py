@@ -300,3 +300,36 @@ def test_bad_input_names_the_mend():
                 lambda: nearest([], np.zeros((1, 1)))):  # fmt: skip
         with pytest.raises(InputError):
             bad()
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("kind", ["full", "two-valued", "plane", "line", "point", "with radii"])
+def test_what_a_hull_holds_is_where_its_gauge_is_zero(kind, seed):
+    """The quick test by facets against the program: on flat clouds, on facets, and a hair off them."""
+    random = np.random.default_rng(seed)
+    points = random.standard_normal((40, 4))
+    if kind == "two-valued":
+        points[:, 2:] = random.choice([-2.0, 2.0], (40, 2))
+    if kind == "plane":
+        points[:, 3] = points[:, 0] - 2 * points[:, 1] + 3.0
+    if kind == "line":
+        points = random.standard_normal((40, 1)) * np.array([1.0, 2.0, -1.0, 0.5]) + 1.0
+    if kind == "point":
+        points = np.tile(points[:1], (40, 1))
+    hull = Hull(points, 0.3 if kind == "with radii" else 0.0)
+    weights = random.dirichlet(np.full(40, 0.1), 30)
+    within, random_step = weights @ points, random.standard_normal((30, 4))
+    for size in (0.0, 1e-13, 1e-7, 1e-3, 1.0):
+        x = within + size * random_step
+        np.testing.assert_array_equal(hull.holds(x), hull.gauge(x) == 0.0)
+    assert hull.holds(points).all()
+    assert not hull.holds(points + 50.0).any()
+
+
+def test_the_choice_of_a_mode_says_which_domains_hold_a_sample():
+    left, right = Box(np.array([0.0, 0.0]), np.array([2.0, 1.0])), Box(np.array([1.0, 0.0]), np.array([3.0, 1.0]))
+    x = np.array([[2.5, 0.5], [1.5, 0.5], [0.5, 0.5], [1.5, 0.5], [9.0, 0.5]])
+    choice = nearest((left, right), x, hold=True)
+    np.testing.assert_array_equal(choice.holds, [[False, True], [True, True], [True, False], [True, True], [False, False]])
+    np.testing.assert_array_equal(choice.index, [1, 1, 0, 0, 1])
+    assert choice.gauge[-1] == pytest.approx(3.0)
