@@ -228,7 +228,7 @@ def _power(value: float) -> str:
 def legend(figure: Figure, handles: Sequence, names: list[str]) -> None:
     """One row of names above the panels, more when they are long."""
     widest = max(len(short(name)) for name in names)
-    columns = max(1, min(len(names), 100 // (widest + 6)))
+    columns = max(1, min(len(names), 110 // (widest + 8)))  # the handle and its gaps are as wide as eight letters
     legend = figure.legend(handles, [f"name {i}" for i in range(len(names))], loc="outside upper left", ncols=columns)
     # set afterwards: matplotlib leaves names out that start with an underscore
     for text, name in zip(legend.get_texts(), names, strict=True):
