@@ -314,7 +314,7 @@ def test_errors_are_taken_from_the_records_where_nobody_gives_them(records):
         (IntervalRegression(input_error=(0.0, -0.1)), "error bound -0.1"),
         (IntervalRegression(input_error=(0.0, 0.1, 0.2)), "3 input errors for 2 inputs"),
         (IntervalRegression(partition=InTime(0.9, 10_000)), "10001 samples"),
-        (IntervalRegression(ARX(2), partition=InTime(0.9999999, 20)), "best"),
+        (IntervalRegression(ARX(2), partition=InTime(0.9999999, 20)), "can be reached"),
         (IntervalRegression(ARX(500)), "reaches back 500"),
         (IntervalRegression(ARX(2), InclusionPaper(), output_error=0.1), "delta form"),
     ],
