@@ -165,9 +165,18 @@ class BoxProgram:
         worst = [self.worst.minimum(side * c, box.radius, self.S.psi[k]).psi for side in (1.0, -1.0)]
         return np.column_stack([np.abs(psi @ self.form.T.T) @ box.radius for psi in worst])
 
+    def may_vanish(self) -> np.ndarray:
+        """(K,) samples at which the promise includes regressors that are all 0; a bias cannot be."""
+        return np.all(self.size_of_z <= self.worst.reach, axis=1)
+
     def mean_radius(self, box: ParameterBox, first: int, last: int) -> float:
         """OC of [2] definition 4 over samples [first, last)."""
-        return float(self.weight[first:last].mean(axis=0) @ box.radius)
+        return float(self.weight[first:last].mean(axis=0) @ box.radius) + self.constant_radius(box)
+
+    def constant_radius(self, box: ParameterBox) -> float:
+        """The part of the envelope's radius that no sample and no radius changes."""
+        del box
+        return 0.0
 
     def _new_solver(self) -> RowProgram:
         # centres are free: a parameter that no sample determines stays at 0, where a bound would hold it far away
@@ -179,9 +188,7 @@ def _check_regressors(program: BoxProgram) -> None:
     """Refuse samples that no box can keep: all regressors 0, but an output that must be something else."""
     if np.all(program.weight == 0.0):
         raise InputError("all regressors are 0", mend="use a bias (bias=True), or records in which something moves")
-    # with an entry that cannot be 0 (a bias) nothing is impossible
-    possible = np.any(program.size_of_z > program.worst.reach, axis=1)
-    hopeless = ~possible & ((program.top > 0.0) | (program.bottom < 0.0))
+    hopeless = program.may_vanish() & ((program.top > 0.0) | (program.bottom < 0.0))
     if hopeless.any():
         k = int(np.argmax(hopeless))
         S = program.S

@@ -17,6 +17,7 @@ from workbench.errors import InputError
 from workbench.intervals.arithmetic import dot, matmul
 from workbench.intervals.boxes import BoxProgram, Rows
 from workbench.intervals.semantics import ParameterBox
+from workbench.lp import InfeasibleError
 
 LARGE = 1e3  # of scaled parameters; an answer that touches it is refused
 
@@ -26,10 +27,14 @@ class PaperProgram(BoxProgram):
 
     def start(self, first: int, last: int) -> None:
         self.rows: list[Rows] = []
+        self.limits: list[tuple[np.ndarray, float]] = []
         super().start(first, last)
 
     def add(self, rows: Rows) -> None:
         self.rows.append(rows)
+
+    def add_limit(self, k: np.ndarray, limit: float) -> None:
+        self.limits.append((self.weight[k] / self.scale, limit / self.unit))
 
     def rows_at(self, k: np.ndarray, psi: np.ndarray, side: float) -> Rows:
         del psi  # (7) is evaluated at the measured regressor
@@ -48,11 +53,17 @@ class PaperProgram(BoxProgram):
         eye, none = np.eye(n), np.zeros((n, n))
         positive = LinearConstraint(np.hstack([eye, none, none, -LARGE * eye]), ub=0.0)
         negative = LinearConstraint(np.hstack([none, eye, none, LARGE * eye]), ub=LARGE)
+        narrow = [
+            LinearConstraint(np.hstack([np.tile(np.concatenate([r, r]), (len(w), 1)), w, np.zeros_like(w)]), ub=limit)
+            for w, limit in self.limits
+        ]
         limits = Bounds(0.0, cast(Any, np.repeat([LARGE, LARGE, np.inf, 1.0], n)))
         weights = np.concatenate([r, r, cost / self.scale, np.zeros(n)])
-        answer = milp(weights, constraints=[keep, positive, negative], bounds=limits, integrality=np.repeat([0, 0, 0, 1], n))
+        answer = milp(
+            weights, constraints=[keep, positive, negative, *narrow], bounds=limits, integrality=np.repeat([0, 0, 0, 1], n)
+        )
         if answer.x is None:
-            raise InputError("no box keeps these samples in the paper's sense", mend="use another semantics")
+            raise InfeasibleError("no box keeps these samples in the paper's sense")
         p, m, radius = answer.x[:n], answer.x[n : 2 * n], answer.x[2 * n : 3 * n]
         if max(p.max(), m.max()) > 0.99 * LARGE:
             raise InputError("a parameter runs to its limit", mend="some regressors do not move: leave their channel out")
@@ -75,5 +86,8 @@ class PaperProgram(BoxProgram):
     def gain(self, box: ParameterBox, k: np.ndarray) -> np.ndarray:
         return np.repeat((self.weight[k] @ box.radius)[:, None], 2, axis=1)
 
-    def mean_radius(self, box: ParameterBox, first: int, last: int) -> float:
-        return super().mean_radius(box, first, last) + float(self.worst.reach @ np.abs(box.centre))
+    def may_vanish(self) -> np.ndarray:
+        return np.all(self.weight == 0.0, axis=1)
+
+    def constant_radius(self, box: ParameterBox) -> float:
+        return float(self.worst.reach @ np.abs(box.centre))

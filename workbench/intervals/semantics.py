@@ -13,7 +13,7 @@ With z = T psi and y(k) = d'psi + theta'z (see `regressors`), every promise that
 | InclusionPaper   | some psi in [psi], all y in [y], some theta | outer product (7)    | y + e, y - e |
 
 Only InclusionAll keeps the true system in the model when regressors carry errors. InclusionPaper is what [2] (8) writes: it
-asks the outer bound (7) to be large, so y may leave the true envelope, and parameters shrink towards 0 as errors grow.
+asks the outer bound (7) to be large, so that y may leave the true envelope. In both, parameters shrink towards 0 as errors grow.
 
 [2] Linear time-varying models with interval parameters, section 4.
 """

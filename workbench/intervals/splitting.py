@@ -28,6 +28,7 @@ from workbench.records import field, record
 
 BLOCK = 512  # samples that are tested at once
 SAME = 1e-9  # relative tolerance of the comparison with the limit
+ROOM = 1e-7  # relative, above it: the last solve over a segment starts from other rows than the one that accepted it
 RUNS = 60  # of the bisection
 NEAR = 1e-5  # relative, of the least radius of a mode
 DIGITS = 6  # of the precision that a refusal proposes
@@ -40,7 +41,7 @@ class MeanRadius:
 
     def radius(self, program: BoxProgram, box: ParameterBox, first: int, last: int) -> float:
         """Of the envelope over samples [first, last), for one box."""
-        return float(program.weight[first:last].mean(axis=0) @ box.radius)
+        return program.mean_radius(box, first, last)
 
     def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
         return self.radius(program, box, first, last) > limit * (1 + SAME)
@@ -52,7 +53,7 @@ class MaximumRadius:
 
     def radius(self, program: BoxProgram, box: ParameterBox, first: int, last: int) -> float:
         """Of the envelope over samples [first, last), for one box."""
-        return float((program.weight[first:last] @ box.radius).max())
+        return float((program.weight[first:last] @ box.radius).max()) + program.constant_radius(box)
 
     def too_wide(self, program: BoxProgram, box: ParameterBox, first: int, last: int, limit: float) -> bool:
         return self.radius(program, box, first, last) > limit * (1 + SAME)
@@ -87,22 +88,22 @@ def split(program: BoxProgram, precision: float, shortest: int, criterion: Crite
     """[2] appendix A: the modes for a precision in (0, 1], each of at least `shortest` + 1 samples (N + 1).
 
     Raises InputError for a precision outside (0, 1], a shortest mode that no record holds, and for a precision that cannot be
-    met, with the best one that can.
+    met, with one that can.
     """
     criterion = criterion or MeanRadius()
     _check_precision(precision)
     pieces = _pieces(program, shortest)
     found = _attempt(program, pieces, precision, shortest, criterion)
     if found.unmet is not None:
-        best = _best_reachable(program, pieces, found, shortest, criterion)
+        reached = _reachable(program, pieces, found, shortest, criterion)
         raise InputError(
             f"precision {precision:g} cannot be met by modes of {shortest + 1} samples",
             file=program.S.records[int(program.S.piece[found.unmet])],
-            mend=f"the best that was reached is {best:.{DIGITS}g}: ask for less, allow shorter modes or another structure"
-            if best
+            mend=f"{reached:.{DIGITS}g} can be reached; or allow shorter modes, or use another structure"
+            if reached
             else "allow shorter modes or another structure",
         )
-    return _emitted(program, found, precision)
+    return _emitted(program, found, precision, criterion)
 
 
 def improve(
@@ -129,7 +130,7 @@ def improve(
             upper = middle
         else:
             lower, kept = middle, found
-    return partition if kept is None else _emitted(program, kept, lower, solved)
+    return partition if kept is None else _emitted(program, kept, lower, criterion, solved)
 
 
 # ---- one run ----------------------------------------------------------------------------------------------------------
@@ -194,16 +195,16 @@ class _Window:
 
     def _certified(self, last: int) -> int:
         """How far the present box reaches without a new program."""
-        box, k = self.box, self.end
+        box, k, limit = self.box, self.end, self._room(self.box)
         while k < last:
             stop = min(k + BLOCK, last)
             kept = self.program.slack(box, k, stop).min(axis=1) >= -self.program.tolerance
             if isinstance(self.criterion, MeanRadius):
                 samples = np.arange(k + 1, stop + 1)
                 mean = (self.total[samples] - self.total[self.begin]) @ box.radius / (samples - self.begin)
-                kept &= mean <= self.limit * (1 + SAME)
+                kept &= mean <= limit
             else:
-                kept &= self.program.weight[k:stop] @ box.radius <= self.limit * (1 + SAME)
+                kept &= self.program.weight[k:stop] @ box.radius <= limit
             if not kept.all():
                 return k + int(np.argmin(kept))
             k = stop
@@ -219,7 +220,7 @@ class _Window:
                 box = program.relaxed(cost)
             except InfeasibleError:  # only with limits on each radius
                 return False
-            if isinstance(self.criterion, MeanRadius) and float(cost @ box.radius) > self.limit * (1 + SAME):
+            if isinstance(self.criterion, MeanRadius) and float(cost @ box.radius) > self._room(box):
                 return False
             rows = program.violated(box, begin, end, 4)
             for some in rows:
@@ -231,24 +232,31 @@ class _Window:
                 self.box, self.end = box, end
                 return True
 
+    def _room(self, box: ParameterBox) -> float:
+        """What the limit leaves for the radii."""
+        return self.limit * (1 + SAME) - self.program.constant_radius(box)
+
     def _too_wide(self, box: ParameterBox, end: int) -> np.ndarray:
         if isinstance(self.criterion, MeanRadius):
             return np.empty(0, dtype=int)
         radius = self.program.weight[self.begin : end] @ box.radius
-        over = np.flatnonzero(radius > self.limit * (1 + SAME))
+        over = np.flatnonzero(radius > self._room(box))
         return self.begin + over[np.argsort(-radius[over])[:4]]
 
 
 # ---- around it ---------------------------------------------------------------------------------------------------------
 
 
-def _emitted(program: BoxProgram, cuts: _Cuts, precision: float, solved: int | None = None) -> Partition:
-    """The smallest verified box of every segment."""
+def _emitted(program: BoxProgram, cuts: _Cuts, precision: float, criterion: Criterion, solved: int | None = None) -> Partition:
+    """Of every segment the verified box of least mean radius that keeps the precision."""
+    window = _Window(program, -math.log(precision) * program.unit * (1 + ROOM), criterion)
     segments = []
     for cut in cuts.segments:
-        program.start(cut.first, cut.last)
-        fitted = verified(program, program.solve(cut.first, cut.last), cut.first, cut.last)
-        segments.append(Segment(cut.first, cut.last, fitted, cut.short))
+        kept = window.open(cut.first, cut.last)  # a short tail may need more than the limit: then its narrowest box
+        if not kept:
+            program.start(cut.first, cut.last)
+        box = window.box if kept else program.solve(cut.first, cut.last)
+        segments.append(Segment(cut.first, cut.last, verified(program, box, cut.first, cut.last), cut.short))
     return Partition(tuple(segments), precision, cuts.programs if solved is None else solved)
 
 
@@ -279,13 +287,13 @@ def _ceiling(program: BoxProgram) -> float:
     return math.exp(-float(narrowest) / program.unit)
 
 
-def _best_reachable(
+def _reachable(
     program: BoxProgram, pieces: Sequence[tuple[int, int]], failed: _Cuts, shortest: int, criterion: Criterion
 ) -> float:
     """The first precision that is reached, on the way down from one mode that failed to the next; 0 if none is.
 
-    A mode that failed says how wide its envelope has to be, so no precision above that helps it. Precisions are tried with the
-    digits they are reported with.
+    A mode that failed says how wide its envelope has to be. Other precisions cut elsewhere, so a better one may exist; none worse
+    than what the most difficult window of all needs is named. Precisions are tried with the digits they are reported with.
     """
     tried: float = 1.0
     for n in range(RUNS):
