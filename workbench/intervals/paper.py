@@ -9,6 +9,7 @@ m <= M (1 - b) and n binaries b [methods: one program instead of 2^n]. Kept to c
 [2] Linear time-varying models with interval parameters, sections 4.2 and 4.3.
 """
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -41,34 +42,14 @@ class PaperProgram(BoxProgram):
         return super().rows_at(k, self.S.psi[k], side)
 
     def relaxed(self, cost: np.ndarray) -> ParameterBox:
-        """The optimum over the rows so far; variables p, m, radius, b (n each), scaled as in `BoxProgram`."""
-        from scipy.optimize import Bounds, LinearConstraint, milp
-
-        n = len(self.scale)
+        """The optimum over the rows so far, scaled as in `BoxProgram`."""
         r = self.worst.reach / self.scale
         z = np.concatenate([rows.z for rows in self.rows]) / self.scale
-        side = np.concatenate([rows.side for rows in self.rows])[:, None]
+        side = np.concatenate([rows.side for rows in self.rows])
         rhs = np.concatenate([rows.rhs for rows in self.rows]) / self.unit
-        keep = LinearConstraint(np.hstack([side * z + r, -side * z + r, np.abs(z) + r, np.zeros_like(z)]), lb=cast(Any, rhs))
-        eye, none = np.eye(n), np.zeros((n, n))
-        positive = LinearConstraint(np.hstack([eye, none, none, -LARGE * eye]), ub=0.0)
-        negative = LinearConstraint(np.hstack([none, eye, none, LARGE * eye]), ub=LARGE)
-        narrow = [
-            LinearConstraint(np.hstack([np.tile(np.concatenate([r, r]), (len(w), 1)), w, np.zeros_like(w)]), ub=limit)
-            for w, limit in self.limits
-        ]
-        limits = Bounds(0.0, cast(Any, np.repeat([LARGE, LARGE, np.inf, 1.0], n)))
-        weights = np.concatenate([r, r, cost / self.scale, np.zeros(n)])
-        answer = milp(
-            weights, constraints=[keep, positive, negative, *narrow], bounds=limits, integrality=np.repeat([0, 0, 0, 1], n)
-        )
-        if answer.x is None:
-            raise InfeasibleError("no box keeps these samples in the paper's sense")
-        p, m, radius = answer.x[:n], answer.x[n : 2 * n], answer.x[2 * n : 3 * n]
-        if max(p.max(), m.max()) > 0.99 * LARGE:
-            raise InputError("a parameter runs to its limit", mend="some regressors do not move: leave their channel out")
+        box = signed_optimum(z, np.broadcast_to(r, z.shape), side, rhs, (cost / self.scale, r), self.limits)
         factor = self.unit / self.scale
-        return ParameterBox((p - m) * factor, np.maximum(radius, 0.0) * factor)
+        return ParameterBox(box.centre * factor, box.radius * factor)
 
     def slack(self, box: ParameterBox, first: int, last: int) -> np.ndarray:
         span = slice(first, last)
@@ -91,3 +72,40 @@ class PaperProgram(BoxProgram):
 
     def constant_radius(self, box: ParameterBox) -> float:
         return float(self.worst.reach @ np.abs(box.centre))
+
+
+def signed_optimum(
+    z: np.ndarray,
+    reach: np.ndarray,
+    side: np.ndarray,
+    rhs: np.ndarray,
+    cost: tuple[np.ndarray, np.ndarray],
+    limits: Sequence[tuple[np.ndarray, float]] = (),
+) -> ParameterBox:
+    """min cost[0]'radius + cost[1]'|centre|  subject to  side z'centre + reach'|centre| + (|z| + reach)'radius >= rhs.
+
+    Rows z, reach (R, n), side, rhs (R); limits: (weights (L, n), bound) keep weights'radius + cost[1]'|centre| <= bound.
+    Variables p, m, radius, b of the module. Raises InfeasibleError, InputError where a parameter runs to LARGE.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    n = z.shape[1]
+    signed = side[:, None] * z
+    keep = LinearConstraint(np.hstack([signed + reach, -signed + reach, np.abs(z) + reach, np.zeros_like(z)]), lb=cast(Any, rhs))
+    eye, none = np.eye(n), np.zeros((n, n))
+    positive = LinearConstraint(np.hstack([eye, none, none, -LARGE * eye]), ub=0.0)
+    negative = LinearConstraint(np.hstack([none, eye, none, LARGE * eye]), ub=LARGE)
+    both = np.concatenate([cost[1], cost[1]])
+    narrow = [LinearConstraint(np.hstack([np.tile(both, (len(w), 1)), w, np.zeros_like(w)]), ub=limit) for w, limit in limits]
+    answer = milp(
+        np.concatenate([both, cost[0], np.zeros(n)]),
+        constraints=[keep, positive, negative, *narrow],
+        bounds=Bounds(0.0, cast(Any, np.repeat([LARGE, LARGE, np.inf, 1.0], n))),
+        integrality=np.repeat([0, 0, 0, 1], n),
+    )
+    if answer.x is None:
+        raise InfeasibleError("no box keeps these samples in the paper's sense")
+    p, m, radius = answer.x[:n], answer.x[n : 2 * n], answer.x[2 * n : 3 * n]
+    if max(p.max(), m.max()) > 0.99 * LARGE:
+        raise InputError("a parameter runs to its limit", mend="some regressors do not move: leave their channel out")
+    return ParameterBox(p - m, np.maximum(radius, 0.0))

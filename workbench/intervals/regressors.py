@@ -5,8 +5,9 @@ psi(k) = (y(k-1) .. y(k-n), u_1(k-delay) .. u_1(k-n), u_2(k-delay) .., 1) holds 
     shift form   d = 0, z = (-y(k-1), .., -y(k-n), u(k-1), .., 1)                                        # [2] (6)
     delta form   with D = q - 1:  D^n y(k-n) = -sum_i alpha_i D^(n-i) y(k-n) + sum_j beta_j D^j u(k-n) + bias
 
-Both describe the same systems, but not with the same boxes: 1 + a1 + a2 = (1 - p1)(1 - p2) is so small at fast sampling
-that a box of 0.2 % on a1 reaches the unit circle. A box in delta form keeps the slow poles inside.
+Both describe the same systems, but not with the same boxes. With poles p1, p2 near 1, 1 + a1 + a2 = (1 - p1)(1 - p2) is small:
+an interval of 0.2 % on a1 alone may reach the unit circle, where 0.2 % of alpha1, alpha2 moves the poles by 0.2 % of their
+distance from 1. The smallest box of a record is narrower in delta form, in one step; in a free run either may win.
 
 [2] Linear time-varying models with interval parameters, section 4.3.
 """

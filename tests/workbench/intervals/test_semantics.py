@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.intervals.boxes import BoxProgram, smallest_box, verified
+from workbench.intervals.paper import signed_optimum
 from workbench.intervals.regressors import ARX, FIR, Samples, samples
 from workbench.intervals.semantics import InclusionAll, InclusionExact, InclusionPaper, Overlap, ParameterBox
 
@@ -399,3 +400,34 @@ def test_a_box_that_leaves_the_unit_circle_in_shift_form_stays_inside_in_delta_f
         worst["delta"] = max(worst["delta"], np.abs(np.roots([1, *mapped[:2]])).max())
     assert worst["shift"] > 1.0
     assert worst["delta"] < 0.99
+
+
+def test_three_samples_for_which_one_linear_program_is_not_enough():
+    """Errors differ from sample to sample: the optimum with centre >= 0 is 2.3667, the best with centre <= 0 2.4850 (by hand)."""
+    z, reach = np.array([0.0, 10.0, 0.2])[:, None], np.array([1.0, 0.0, 1.0])[:, None]
+    y, rad = np.array([0.0, 0.0, 0.05]), np.array([1.0, 0.0, 1.0])
+    cost = (np.mean(np.abs(z) + reach, axis=0), np.mean(reach, axis=0))
+    rows = (np.vstack([z, z]), np.vstack([reach, reach]), np.repeat([1.0, -1.0], 3), np.concatenate([y + rad, rad - y]))
+
+    def value(box):
+        return float(cost[0] @ box.radius + cost[1] @ np.abs(box.centre))
+
+    best = signed_optimum(*rows, cost)
+    assert value(best) == pytest.approx(2.36667, abs=1e-5)
+    np.testing.assert_allclose([best.centre[0], best.radius[0]], [0.5, 0.5], atol=1e-9)
+
+    def orthant(sign):
+        """The linear program in (|centre|, radius) with the sign fixed, solved by itself."""
+        A = np.hstack([rows[2][:, None] * sign * rows[0] + rows[1], np.abs(rows[0]) + rows[1]])
+        return linprog(np.concatenate([cost[1], cost[0]]), A_ub=-A, b_ub=-rows[3]).fun
+
+    assert orthant(+1.0) == pytest.approx(2.36667, abs=1e-5)
+    assert orthant(-1.0) == pytest.approx(2.48500, abs=1e-5)
+    # |centre| relaxed to any t >= |centre|: far below both
+    A = np.hstack([rows[2][:, None] * rows[0], rows[1], np.abs(rows[0]) + rows[1]])
+    keep = np.array([[1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+    relaxed = linprog(
+        np.concatenate([[0.0], cost[1], cost[0]]), A_ub=np.vstack([-A, keep]), b_ub=np.concatenate([-rows[3], [0.0, 0.0]]),
+        bounds=[(None, None), (0, None), (0, None)],
+    )  # fmt: skip
+    assert relaxed.fun == pytest.approx(0.70, abs=0.01)
