@@ -121,7 +121,7 @@ def main(
     identified = _identify(records, quick, progress)
     progress("scoring")
     judged = _judge(identified, records, simulated=data is None)
-    envelopes = identify_envelopes(records.estimation, records.held_out, identified.models, OUTPUT, progress)
+    envelopes = identify_envelopes(records.estimation, records.held_out, identified.models, OUTPUT, progress, quick=quick)
     for name, model in (identified.models | envelopes.models).items():
         model.save(folder / f"{_file(name)}.json")
     configuration = {
@@ -314,7 +314,7 @@ def _verdict(identified: Identified, judged: Judged, quick: bool) -> str:
 
 def _envelope_verdict(envelopes: Envelopes) -> str:
     """What interval models add: guarantees on the records, their width, and what one box for each interval of the radius buys."""
-    return " ".join(covered_verdict(envelopes.of(name)) for name in ("interval", "interval by r2", "interval, simulation"))
+    return " ".join(covered_verdict(envelopes.of(name)) for name in envelopes.models)
 
 
 def _machine_fit(e: Experiment) -> float:

@@ -13,7 +13,7 @@ from workbench.data import Dataset, Experiment
 from workbench.intervals.coverage import Coverage, cover
 from workbench.intervals.model import IntervalModel
 from workbench.intervals.output_error import OutputErrorRegression
-from workbench.intervals.regression import BySchedule, IntervalRegression
+from workbench.intervals.regression import BySchedule, IntervalRegression, OneMode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.lpv import LPVModel
@@ -36,28 +36,37 @@ class Envelopes:
         return tuple(line for line in self.lines if line.model == model)
 
 
-def methods() -> dict[str, IntervalRegression | OutputErrorRegression]:
+def methods(quick: bool) -> dict[str, IntervalRegression | OutputErrorRegression]:
     """The record as it was measured, with one box and with one for each interval of the radius; the true machine; simulation."""
-    exact = InclusionExact()
+    by_radius = IntervalRegression(ARX(ORDER), InclusionExact(), BySchedule(INTERVALS), 0.0, 0.0)
+    simulation = OutputErrorRegression(ARX(ORDER), output_error=0.0)
+    if quick:
+        return {"interval by r2": by_radius, "interval, simulation": simulation}
     return {
-        "interval": IntervalRegression(ARX(ORDER), exact, output_error=0.0, input_error=0.0),
-        "interval by r2": IntervalRegression(ARX(ORDER), exact, BySchedule(INTERVALS), 0.0, 0.0),
+        "interval": replace(by_radius, partition=OneMode()),
+        "interval by r2": by_radius,
         "interval by r2, true values": IntervalRegression(ARX(ORDER), partition=BySchedule(INTERVALS)),
-        "interval, simulation": OutputErrorRegression(ARX(ORDER), output_error=0.0),
+        "interval, simulation": simulation,
     }
 
 
 def identify_envelopes(
-    estimation: Dataset, held_out: Dataset, lpv: Mapping[str, LPVModel], output: str, progress: Callable[[str], None]
+    estimation: Dataset,
+    held_out: Dataset,
+    lpv: Mapping[str, LPVModel],
+    output: str,
+    progress: Callable[[str], None],
+    *,
+    quick: bool = False,
 ) -> Envelopes:
     """Every interval model, and what its envelopes and the bands around the LPV models hold of all records."""
     models, seconds, lines = {}, {}, []
-    for name, method in methods().items():
+    for name, method in methods(quick).items():
         progress(f"{name}: identifying")
         begin = time.perf_counter()
         models[name] = replace(method, name=name).fit(estimation, output)
         seconds[name] = time.perf_counter() - begin
-        lines += [*cover(models[name], estimation, "estimation"), *cover(models[name], held_out, "held-out")]
+        lines += [*cover(models[name], estimation, "estimation", free_run=False), *cover(models[name], held_out, "held-out")]
     for model in lpv.values():
         known = bounded(model, estimation, output)
         lines += [*cover_bounded(known, estimation, "estimation"), *cover_bounded(known, held_out, "held-out")]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from studies import web_winding
+from workbench.intervals.model import load_interval_model
 from workbench.lpv import load_model
 from workbench.metrics import fit, rm
 from workbench.readers import read
@@ -32,7 +33,7 @@ def test_only_prbs1_and_rbs_count_as_estimation(result):
 
 
 def test_scores_are_those_of_the_saved_models_on_the_saved_records(result):
-    for entry in result[2]:
+    for entry in (entry for entry in result[2] if "envelopes" not in entry):
         model = load_model(result[0] / entry["file"])
         for s in entry["scores"]:
             if s["horizon"] == "free-run" and s["record"] in RECORDS:
@@ -55,7 +56,7 @@ def test_printed_tables_hold_our_scores_and_the_papers_numbers(result):
 
 
 def test_the_verdict_quotes_held_out_records_only(result):
-    for entry in result[2]:
+    for entry in (entry for entry in result[2] if "envelopes" not in entry):
         held = [s["FIT"] for s in entry["scores"] if s["split"] == "held-out" and s["horizon"] == "free-run"]
         assert f"{entry['model']} {min(held):.1f} to {max(held):.1f} %" in result[1]
 
@@ -64,3 +65,16 @@ def test_fresh_records_are_other_records(result):
     for name in RECORDS:
         a, b = (read(result[0] / sub / f"{name}.csv")["w3"] for sub in ("records", "records_fresh"))
         assert not np.array_equal(a, b)
+
+
+def test_coverage_is_that_of_the_saved_models_on_the_saved_records(result):
+    entries = [entry for entry in result[2] if "envelopes" in entry]
+    assert len(entries) == 2
+    for entry in entries:
+        model = load_interval_model(result[0] / entry["file"])
+        for line in entry["envelopes"]:
+            e = read(result[0] / "records" / f"{line['record']}.csv").with_roles(outputs=("w3",))
+            assert line["split"] == ("estimation" if line["record"] in ("prbs1", "rbs") else "held-out")
+            found = model.one_step(e) if line["horizon"] == "one-step" else model.free_run(e, (5,))
+            assert (line["coverage"], line["mean_radius"]) == pytest.approx((found.coverage, found.mean_radius), rel=1e-9)
+            assert line["split"] == "held-out" or line["coverage"] == 1.0

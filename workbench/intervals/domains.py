@@ -700,10 +700,19 @@ class _Facets:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=int)
 
     def _sides(self, part: np.ndarray) -> np.ndarray:
-        beyond = np.hstack([part @ self.normals.T - self.offsets, np.abs(part @ self.flat.T)])
-        reach = np.concatenate([self.reach, self.flat_reach])
-        outside = np.any(beyond > 2 * INSIDE * reach + 1e-12, axis=1)
-        return np.where(outside, -1, np.where(np.all(beyond <= 1e-12, axis=1), 1, 0))
+        found = np.ones(len(part), dtype=int)
+        for rows, offsets, reach, two in (
+            (self.normals, self.offsets, self.reach, False),
+            (self.flat, 0.0, self.flat_reach, True),
+        ):
+            if not len(rows):
+                continue
+            beyond = part @ rows.T
+            beyond = np.abs(beyond) if two else np.subtract(beyond, offsets, out=beyond)
+            near = np.flatnonzero(beyond.max(axis=1) > 1e-12)
+            outside = np.any(beyond[near] > 2 * INSIDE * reach + 1e-12, axis=1)
+            found[near] = np.minimum(found[near], np.where(outside, -1, 0))
+        return found
 
 
 def _facets(points: np.ndarray, scale: np.ndarray) -> tuple[_Facets | None, np.ndarray | None]:
