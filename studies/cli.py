@@ -125,11 +125,10 @@ def _interval_options(sub: argparse.ArgumentParser) -> None:
     group = sub.add_argument_group("options of --model interval")
     group.add_argument(
         "--semantics",
-        default="inclusion-all",
         metavar="S",
         help="what is promised: inclusion-all (default), inclusion-exact, overlap, inclusion-paper, or simulation",
     )
-    group.add_argument("--form", choices=("delta", "shift"), default="delta", help="form of the regressors (default delta)")
+    group.add_argument("--form", choices=("delta", "shift"), help="form of the regressors (default delta)")
     group.add_argument("--fir", type=_positive, metavar="N", help="finite impulse response of N samples instead of order")
     group.add_argument(
         "--e-y", dest="output_error", type=float, metavar="E", help="bound on the error of the output (default: its noise)"

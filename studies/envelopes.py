@@ -14,12 +14,12 @@ from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_co
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import BySchedule, IntervalRegression, InTime, Modes, OneMode
 from workbench.intervals.regressors import ARX, FIR, Structure
-from workbench.intervals.semantics import SEMANTICS
+from workbench.intervals.semantics import SEMANTICS, InclusionAll
 from workbench.intervals.splitting import MaximumRadius, MeanRadius
 from workbench.metrics import Horizon, horizon_name
 from workbench.report import figures
 from workbench.report.figures import Trace
-from workbench.report.page import Picture, Section, Table
+from workbench.report.page import Picture, Section, Table, Text
 
 Method = IntervalRegression | OutputErrorRegression
 SIMULATION = "simulation"
@@ -31,10 +31,10 @@ RUNAWAY = 10.0  # ranges of the output beyond which an envelope says nothing
 def interval_method(options: Namespace) -> Method:
     """The method that --model interval and its options ask for. Raises InputError where they contradict each other."""
     order = options.order or DEFAULT_ORDER
-    structure: Structure = FIR(options.fir) if options.fir else ARX(order, delta=options.form == "delta")
+    structure: Structure = FIR(options.fir) if options.fir else ARX(order, delta=options.form != "shift")
     if options.fir and options.order:
         raise InputError("--fir and --order exclude each other", mend="--fir N is the order of a model without feedback")
-    promise = check_known("semantics", options.semantics, PROMISES)
+    promise = check_known("semantics", options.semantics or InclusionAll.name, PROMISES)
     if promise == SIMULATION:
         if options.precision is not None or options.intervals is not None:
             raise InputError(
@@ -53,7 +53,7 @@ def check_interval_options(options: Namespace) -> None:
     given = {
         "--fir": options.fir, "--e-y": options.output_error, "--e-u": options.input_error, "--precision": options.precision,
         "--shortest": options.shortest, "--tolerance": options.tolerance, "--intervals": options.intervals,
-        "--maximum-radius": options.maximum_radius or None,
+        "--maximum-radius": options.maximum_radius or None, "--semantics": options.semantics, "--form": options.form,
     }  # fmt: skip
     for option, value in given.items():
         if value is not None:
@@ -108,19 +108,32 @@ def interval_configuration(method: Method) -> dict[str, object]:
 
 def described_modes(model: IntervalModel) -> list[str]:
     """The model in a few lines: structure, promise, errors, modes and their widths, what the verification did."""
-    lines = [
-        f"{model.name}: {type(model.structure).__name__} of order {model.order} for {model.output}, "
-        f"promise {model.semantics.name}, {len(model.modes)} mode{'s' * (len(model.modes) > 1)}, precision {model.precision:.6g}"
-    ]
+    count = len(model.modes)
     radius = max(mode.mean_radius for mode in model.modes)
     inflated = sum(mode.inflated for mode in model.modes)
-    lines.append(
-        f"  mean radius at most {radius:.4g} {model.output.unit} ({100 * radius / model.unit_range:.2g} % of the range); "
-        f"every one of {sum(mode.samples for mode in model.modes)} samples verified, {inflated} needed wider boxes "
-        f"(factor up to 1 + {max(mode.inflation for mode in model.modes) - 1:.1e})"
-    )
-    lines += [f"  note: {note}" for note in model.notes]
+    union = "; where several hold a sample, their union counts" * (count > 1)
+    lines = [
+        f"{model.name}: {type(model.structure).__name__} of order {model.order} for {model.output}, "
+        f"promise {model.semantics.name}: {model.semantics.promise}",
+        f"  {count} mode{'s' * (count > 1)}, precision {model.precision:.6g}, mean radius over its own samples at most "
+        f"{radius:.4g} {model.output.unit} ({100 * radius / model.unit_range:.2g} % of the range){union}",
+        f"  every one of {sum(mode.samples for mode in model.modes)} samples verified, {inflated} needed wider boxes "
+        f"(factor up to 1 + {max(mode.inflation for mode in model.modes) - 1:.1e})",
+    ]
+    lines += [f"  note: {note}" for note in (*model.notes, *_warnings(model))]
     return lines
+
+
+def _warnings(model: IntervalModel) -> list[str]:
+    """What a user of these boxes must know and would not see in their widths."""
+    said = []
+    growth = model.pole_radius()
+    if growth >= 1.0 and not isinstance(model.semantics, Simulation):
+        said.append(f"the middle of a box is unstable (pole radius {growth:.4f}): no free run of it means anything")
+    moving = model.form.source >= 0
+    if all(not np.any(mode.box.radius[moving]) for mode in model.modes):
+        said.append("only the constant is uncertain: the one-step envelope has constant width")
+    return said
 
 
 def covered_verdict(envelopes: Sequence[Coverage]) -> str:
@@ -152,8 +165,9 @@ def envelope_sections(
     horizons: dict[Horizon, None] = {c.horizon: None for c in envelopes}
     several = len({c.model for c in envelopes}) > 1
     widths = [width_picture(f"{horizon_name(horizon)}: {title}", envelopes, horizon) for horizon in horizons if several]
+    promises = [f"{model.name} promises: {model.semantics.promise}." for model in models]
     return [
-        Section("Envelopes", (*widths, *shown, envelope_table(envelopes))),
+        Section("Envelopes", (Text("\n\n".join(promises)), *widths, *shown, envelope_table(envelopes))),
         Section("Modes", (*modes, *(table for model in models for table in mode_tables(model)))),
     ]
 
@@ -177,7 +191,8 @@ def envelope_pictures(model: IntervalModel, e: Experiment) -> list[Picture]:
     run = free.run
     if float(np.ptp(free.y)) * RUNAWAY < free.mean_radius:
         return pictures  # it grows without limit: the table says so, a picture would show nothing
-    band = figures.Band(run.low, run.high, run.reached_low, run.reached_high)
+    error = free.output_error  # bounds are of the true output: a measured value may lie beyond them by its error
+    band = figures.Band(run.low - error, run.high + error, run.reached_low - error, run.reached_high + error)
     title = f"{model.name} on {e.name}: free run"
     pictures.append(figures.envelope(title, free.t, Trace(measured.channel, free.y), {"free run": band}, run.nominal))
     return pictures
@@ -216,7 +231,8 @@ def envelope_table(envelopes: Sequence[Coverage]) -> Table:
             (c.model, c.record, c.split, c.output, str(c.horizon), 100 * c.coverage, c.mean_radius, c.unit, 100 * c.relative,
              100 * c.valid, c.ratio) for c in envelopes
         ),
-        caption="inside: measured values within the envelope. known: regressors within the domain of a mode. outer/reached: the "
+        caption="inside: measured values within the envelope; of a free run, whose envelope is of the true output, give or take "
+        "the error of the output. known: regressors within the domain of a mode. outer/reached: the "
         "guaranteed bound of a free run against what a found parameter sequence reaches; 1 means the bound is exact.",
     )  # fmt: skip
 

@@ -374,50 +374,55 @@ def frozen_course(t: np.ndarray, dt: float, effects: EffectSizes) -> np.ndarray:
 
 
 def verdict(identified: Identified, judged: Judged, records: Records, quick: bool = False) -> str:
-    """What one box holds and costs, what modes buy, how LTI plus a bound does, and what none of it says."""
+    """What to use and what not: one step of the box, and free runs. The numbers behind it are the findings."""
     one, lti, unit = identified.models["one-box"], identified.lti, records.held_out.experiments[0].channel(OUTPUT).unit
-    held = {name: {h: judged.held(name, h) for h in HORIZONS} for name in (lti.name, *identified.models)}
-
-    def said(name: str, horizon: Horizon) -> str:
-        lines = held[name][horizon]
-        width = _mean_radius(lines)
-        share = 100 * width / one.unit_range
-        return f"\N{PLUS-MINUS SIGN}{width:.3g} {unit} ({_percent(share)} % of the range), {_inside(lines):.1f} % inside"
-
-    count, broken = sum(c.samples for c in held["one-box"]["one-step"]), sum(judged.violations.values())
-    text = (
-        f"One box of order {ORDER} at {one.dt:g} s leaves {judged.violations['one-box']} of {one.modes[0].samples} estimation "
-        f"samples outside. On {count} values of {len(records.held_out)} records that no model has seen, one step ahead: "
-        f"one box {said('one-box', 'one-step')}; {lti.name} {said(lti.name, 'one-step')}. "
+    step, free = judged.held("one-box", "one-step"), judged.held("one-box", "free-run")
+    broken = sum(judged.violations.values())
+    text = f"{broken} estimation samples lie outside an envelope that promised to hold them: trust nothing below. " * bool(broken)
+    text += (
+        f"One box leaves {judged.violations['one-box']} of {one.modes[0].samples} estimation samples outside. "
+        f"One step ahead it holds {_inside(step):.1f} % of {sum(c.samples for c in step)} values of {len(records.held_out)} "
+        f"records that no model has seen within {_width(step, one, unit)}; {lti.name} holds "
+        f"{_inside(judged.held(lti.name, 'one-step')):.1f} % within {_width(judged.held(lti.name, 'one-step'), one, unit)}. "
     )
+    text += f"In a free run that box reaches {_width(free, one, unit)}"
+    text += ", as wide as the speed moves: it says nothing there. " if _mean_radius(free) >= USELESS * one.unit_range else ". "
+    box = judged.held("simulation-box", "free-run")
+    text += (
+        f"The simulation box holds {_inside(box):.1f} % within {_width(box, one, unit)}: no bound for inputs of another kind. "
+    )
+    text += "Use the one-step envelope to test measured values and to design a loop with."
+    return text + " This was a quick look: few precisions and records, one sample time." * quick
+
+
+def findings(identified: Identified, judged: Judged, records: Records) -> tuple[str, ...]:
+    """Paragraphs: the box beside LTI plus bound, what modes buy, free runs, and what the numbers do not say."""
+    lti, one = identified.lti, identified.models["one-box"]
+    held = {name: {h: judged.held(name, h) for h in HORIZONS} for name in (lti.name, *identified.models)}
     ratio = _mean_radius(held["one-box"]["one-step"]) / _mean_radius(held[lti.name]["one-step"])
     own = _mean_radius(held["one-box-as-measured"]["one-step"]) / _mean_radius(held[lti.name]["one-step"])
-    text += (
-        f"The box is {ratio:.2g} times as wide as the bound around LTI, and {own:.2g} times if it promises, as that bound does, "
-        "nothing but the measured values of the estimation records. "
+    beside = (
+        f"One box of order {ORDER} at {one.dt:g} s is {ratio:.2g} times as wide as the bound around LTI, and {own:.2g} times if it "
+        f"promises, as that bound does, nothing but the measured values of the estimation records. {_sampling_said(identified.samplings)}"
     )
-    text += _sampling_said(identified.samplings)
-    text += _modes_said(identified, held["one-box"]["one-step"], held["modes"]["one-step"])
-    free = _mean_radius(held["one-box"]["free-run"]) / one.unit_range
-    text += f"In a free run: one box {said('one-box', 'free-run')}"
-    text += ", wider than the speed itself moves: it says nothing there" if free >= USELESS else ""
-    text += f"; modes {said('modes', 'free-run')}; simulation box {said('simulation-box', 'free-run')}; "
-    text += f"{lti.name} {said(lti.name, 'free-run')}. "
-    text += _curves_said(identified, judged) if records.mass else ""
+    modes = _modes_said(identified, held["one-box"]["one-step"], held["modes"]["one-step"])
     kept = [c for c in judged.lines if c.split == "held-out" and c.coverage < 1.0]
+    free = _curves_said(identified, judged) if records.mass else ""
     if kept:
         worst = min(kept, key=lambda c: c.coverage)
-        text += (
+        free += (
             f"The lowest coverage of all is {100 * worst.coverage:.1f} %: {worst.model}, {worst.horizon}, record {worst.record}. "
         )
-    text += (
-        f"Use the one-step envelope to test measured values and to design a loop with; it says nothing about a free run. "
+    domain = (
         f"{_valid(held['one-box']['one-step']):.0f} % of the held-out regressors lie in the hull of what the box has seen: the "
         "hull is not the true domain, outside it the envelope is no promise."
     )
-    if broken:
-        text = f"{broken} estimation samples lie outside an envelope that promised to hold them: trust nothing below. {text}"
-    return text + " This was a quick look: few precisions and records, one sample time." * quick
+    return tuple(paragraph.strip() for paragraph in (beside, modes, free, domain) if paragraph)
+
+
+def _width(lines: list[Coverage], model: IntervalModel, unit: str) -> str:
+    width = _mean_radius(lines)
+    return f"\N{PLUS-MINUS SIGN}{width:.3g} {unit} ({_percent(100 * width / model.unit_range)} % of the range)"
 
 
 def _sampling_said(samplings: tuple[Sampling, ...]) -> str:
@@ -513,7 +518,10 @@ def _report(
     first = [Section("The robot and its perturbations", (_curves(curves),))] if logged.mass and curves else []
     sections = [
         *first,
-        Section("Width and coverage", tuple(_widths(identified, judged, unit))),
+        Section(
+            "Width and coverage",
+            (Text("\n\n".join(findings(identified, judged, records))), *_widths(identified, judged, unit)),
+        ),
         Section("Responses and their envelopes", tuple(_envelopes(identified, records))),
         Section("Modes", tuple(_mode_blocks(identified, records, unit))),
         Section("Choice of the sample time", (_sampling_table(identified, unit),)),

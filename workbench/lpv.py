@@ -370,7 +370,9 @@ def load_model(path) -> LPVModel:
     """Read a model file written by `LPVModel.save`; what is missing or foreign is named."""
     content = read_json(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise InputError("not an LPV model", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
+        interval = isinstance(content, dict) and content.get("schema") == "interval-model"
+        mend = "read it with load_interval_model" if interval else f"expected a JSON object with schema {SCHEMA!r}"
+        raise InputError("not an LPV model", file=path, mend=mend)
     if content.get("version") != VERSION:
         raise InputError(f"model version {content.get('version')}, this program reads {VERSION}", file=path)
     try:

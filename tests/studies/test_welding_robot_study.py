@@ -99,7 +99,7 @@ def test_widths_stand_in_the_order_that_their_promises_force(result):
 
 
 def test_the_comparison_with_LTI_is_told_at_every_sample_time():
-    """A box that wins at one sample time only: the verdict names the ratio at each, and how little the choice rests on."""
+    """A box that wins at one sample time only: the findings name the ratio at each, and how little the choice rests on."""
     tried = (welding_robot.Sampling(0.04, 0.06, 4.0, 0.3178, 0.03, 0.4), welding_robot.Sampling(0.1, 0.07, 2.6, 0.3171, 0.1, 0.4))
     said = welding_robot._sampling_said(tried)
     assert "2 at 0.04 s, 0.7 at 0.1 s" in said

@@ -38,8 +38,13 @@ class Coverage:
 
     def __str__(self) -> str:
         width = f"+-{self.mean_radius:.4g} {self.unit}".rstrip() + f" ({100 * self.relative:.2g} % of the range)"
+        if self.horizon == "free-run" and self.relative > SAYS_NOTHING:
+            return (
+                f"{self.model} on {self.record} ({self.split}), {self.output}, free-run envelope: {width}, as wide as the output "
+                "moves: it says nothing (simulation boxes are made for free runs)"
+            )
         reached = f", outer/reached {self.ratio:.3g}" if self.ratio is not None else ""
-        known = f", {100 * self.valid:.1f} % of them where a mode has been seen" if self.valid < 1.0 else ""
+        known = f", {100 * self.valid:.1f} % of them where the estimation records have been" if self.valid < 1.0 else ""
         return (
             f"{self.model} on {self.record} ({self.split}), {self.output}, {self.horizon} envelope: "
             f"holds {100 * self.coverage:.2f} % of {self.samples} values{known}, {width}{reached}"
@@ -51,6 +56,7 @@ class Coverage:
         return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in content.items()}
 
 
+SAYS_NOTHING = 0.5  # mean radius of a free run in ranges of the output
 INSTANTS = 5  # of a free run at which the reached bound is sought
 
 

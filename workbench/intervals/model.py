@@ -36,6 +36,7 @@ class Simulation:
     """The free-run envelope holds the measured output of every estimation record; nothing is promised about one step."""
 
     name = "simulation"
+    promise = "the free run from the inputs holds every measured value of the estimation records; nothing is said about one step"
 
 
 ALL_SEMANTICS: dict[str, type] = SEMANTICS | {Simulation.name: Simulation}
@@ -188,6 +189,13 @@ class IntervalModel:
         """The lowest precision of its modes, short tails apart."""
         whole = [mode.precision for mode in self.modes if not mode.short]
         return min(whole or [mode.precision for mode in self.modes])
+
+    def pole_radius(self) -> float:
+        """Largest |pole| of the middle of its boxes: from 1 on the nominal free run grows. 0 for a model without feedback."""
+        form = self.form
+        rows = [form.d + form.T.T @ mode.box.centre for mode in self.modes]
+        poles = [np.roots(np.concatenate([[1.0], -row[form.source == 0]])) for row in rows]
+        return max(float(np.abs(p).max(initial=0.0)) for p in poles)
 
     # ---- one step ----------------------------------------------------------------------------------------------------
 

@@ -53,8 +53,10 @@ class InTime:
 
     def __post_init__(self):
         if not 0.0 < self.precision <= 1.0:
+            percent = f"did you mean {self.precision / 100:g}? " if 1.0 < self.precision <= 100.0 else ""
             raise InputError(
-                f"precision {self.precision:g}, expected 0 < precision <= 1", mend="precision is exp(-radius / range of y)"
+                f"precision {self.precision:g}, expected 0 < precision <= 1",
+                mend=f"{percent}precision is exp(-radius / range of y)",
             )
 
 
@@ -95,6 +97,8 @@ class IntervalRegression:
         """
         first = dataset.experiments[0]
         y, u = named_output(dataset, output), first.names_of("input")
+        if isinstance(self.partition, BySchedule) and not first.names_of("schedule"):
+            raise InputError("no schedule channel", mend="name one with --schedule, or leave the schedule intervals out")
         e_y, e_u, notes = error_bounds(dataset, y, u, self.output_error, self.input_error)
         S = samples(self.structure, dataset, y, u, output_error=e_y, input_error=e_u)
         program = _program(S, self.semantics)
@@ -169,7 +173,9 @@ def _in_time(program: BoxProgram, asked: InTime) -> tuple[list[Mode], list[str]]
     rows = [np.arange(s.first, s.last) for s in found.segments]
     whole = [(r, s) for r, s in zip(rows, found.segments, strict=True)]
     modes = [_mode(program, r, s.fitted, short=s.short) for r, s in whole]
-    notes = [f"{len(modes)} modes along time at precision {found.precision:.6g}"]
+    records = len(set(program.S.piece))
+    crossing = f"; {records} records, and no mode reaches from one into the next" * (records > 1)
+    notes = [f"{len(modes)} modes along time at precision {found.precision:.6g}{crossing}"]
     if asked.merge is not None and len(modes) > 1:
         merged = _merged(program, modes, rows, found.precision, asked)
         modes = [item.mode for item in merged.items]
@@ -204,12 +210,10 @@ def _merged(
 
 
 def _by_schedule(program: BoxProgram, asked: BySchedule, dataset: Dataset) -> tuple[list[Mode], list[str]]:
-    names = dataset.experiments[0].names_of("schedule")
-    if not names:
-        raise InputError("no schedule channel", mend="name one with --schedule, or leave the schedule intervals out")
-    rho = schedule_values(program.S, dataset, names[0])
+    name = dataset.experiments[0].names_of("schedule")[0]
+    rho = schedule_values(program.S, dataset, name)
     if np.ptp(rho) == 0.0:
-        raise InputError("the schedule does not move", channel=names[0], mend="use one box, or records over more of the range")
+        raise InputError("the schedule does not move", channel=name, mend="use one box, or records over more of the range")
     edges = _enough(rho, np.linspace(rho.min(), rho.max(), asked.intervals + 1), FEWEST * program.z.shape[1])
     modes = []
     for low, high in itertools.pairwise(edges):

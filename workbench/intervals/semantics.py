@@ -37,6 +37,7 @@ class _Semantics:
     """regressor_radius (m) and ends (top (K), bottom (K)) of the table above."""
 
     name = ""
+    promise = ""
 
     def regressor_radius(self, S: Samples) -> np.ndarray:
         return np.zeros(S.psi.shape[1])
@@ -50,6 +51,7 @@ class Overlap(_Semantics):
     """Envelope and measured interval have a point in common, at the regressors as measured."""
 
     name = "overlap"
+    promise = "at every estimation sample the envelope and the measured value, give or take its error, have a point in common"
 
     def ends(self, S: Samples) -> tuple[np.ndarray, np.ndarray]:
         return S.y - S.output_error, S.y + S.output_error
@@ -60,6 +62,9 @@ class InclusionExact(_Semantics):
     """The envelope holds the measured interval, at the regressors as measured."""
 
     name = "inclusion-exact"
+    promise = (
+        "at every estimation sample the envelope holds the measured value, give or take its error, at the regressors as measured"
+    )
 
 
 @record
@@ -67,6 +72,9 @@ class InclusionAll(_Semantics):
     """The envelope holds the measured interval for every regressor that the error bounds allow."""
 
     name = "inclusion-all"
+    promise = (
+        "at every estimation sample the envelope holds the true output, whatever the true values are within the error bounds"
+    )
 
     def regressor_radius(self, S: Samples) -> np.ndarray:
         return S.error
@@ -77,6 +85,7 @@ class InclusionPaper(_Semantics):
     """The paper's inclusion, with the outer product (7) at interval regressors: unsound, for comparison. Shift form only."""
 
     name = "inclusion-paper"
+    promise = "the paper's inclusion; unsound where regressors carry errors, for comparison only"
 
     def regressor_radius(self, S: Samples) -> np.ndarray:
         if any(len(block) > 1 for block in S.form.blocks):
