@@ -391,7 +391,7 @@ def verdict(identified: Identified, judged: Judged, records: Records, quick: boo
     text += (
         f"The simulation box holds {_inside(box):.1f} % within {_width(box, one, unit)}: no bound for inputs of another kind. "
     )
-    text += "Use the one-step envelope to test measured values and to design a loop with."
+    text += "Use the one-step envelope to test measured values and to design a loop with; it says nothing about a free run."
     return text + " This was a quick look: few precisions and records, one sample time." * quick
 
 
@@ -402,8 +402,9 @@ def findings(identified: Identified, judged: Judged, records: Records) -> tuple[
     ratio = _mean_radius(held["one-box"]["one-step"]) / _mean_radius(held[lti.name]["one-step"])
     own = _mean_radius(held["one-box-as-measured"]["one-step"]) / _mean_radius(held[lti.name]["one-step"])
     beside = (
-        f"One box of order {ORDER} at {one.dt:g} s is {ratio:.2g} times as wide as the bound around LTI, and {own:.2g} times if it "
-        f"promises, as that bound does, nothing but the measured values of the estimation records. {_sampling_said(identified.samplings)}"
+        f"One box of order {ORDER} at {one.dt:g} s is {ratio:.2g} times as wide as the bound around LTI, and {own:.2g} times if "
+        "it promises, as that bound does, nothing but the measured values of the estimation records. "
+        f"{_sampling_said(identified.samplings)}"
     )
     modes = _modes_said(identified, held["one-box"]["one-step"], held["modes"]["one-step"])
     kept = [c for c in judged.lines if c.split == "held-out" and c.coverage < 1.0]
