@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.data import Channel, Dataset, Experiment
+from workbench.data import Channel, Dataset, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.intervals.coverage import Coverage
 from workbench.intervals.domains import shadow
@@ -34,6 +34,12 @@ def interval_method(options: Namespace) -> Method:
     structure: Structure = FIR(options.fir) if options.fir else ARX(order, delta=options.form != "shift")
     if options.fir and options.order:
         raise InputError("--fir and --order exclude each other", mend="--fir N is the order of a model without feedback")
+    if options.fir and options.form:
+        raise InputError("--form belongs to models with feedback", mend="leave out --form, or --fir")
+    along_time = {"--shortest": options.shortest, "--tolerance": options.tolerance, "--maximum-radius": options.maximum_radius}
+    for option, value in along_time.items():
+        if value and options.precision is None:
+            raise InputError(f"{option} belongs to modes along time", mend="give --precision P as well")
     promise = check_known("semantics", options.semantics or InclusionAll.name, PROMISES)
     if promise == SIMULATION:
         if options.precision is not None or options.intervals is not None:
@@ -66,13 +72,6 @@ def _partition(options: Namespace) -> Modes:
     if options.intervals is not None:
         return BySchedule(options.intervals)
     if options.precision is None:
-        for given, option in (
-            (options.shortest, "--shortest"),
-            (options.tolerance, "--tolerance"),
-            (options.maximum_radius, "--maximum-radius"),
-        ):
-            if given:
-                raise InputError(f"{option} belongs to modes along time", mend="give --precision P as well")
         return OneMode()
     criterion = MaximumRadius() if options.maximum_radius else MeanRadius()
     return InTime(options.precision, options.shortest, criterion, options.tolerance)
@@ -117,8 +116,8 @@ def described_modes(model: IntervalModel) -> list[str]:
         f"promise {model.semantics.name}: {model.semantics.promise}",
         f"  {count} mode{'s' * (count > 1)}, precision {model.precision:.6g}, mean radius over its own samples at most "
         f"{radius:.4g} {model.output.unit} ({100 * radius / model.unit_range:.2g} % of the range){union}",
-        f"  every one of {sum(mode.samples for mode in model.modes)} samples verified, {inflated} needed wider boxes "
-        f"(factor up to 1 + {max(mode.inflation for mode in model.modes) - 1:.1e})",
+        f"  every sample verified; {inflated} needed wider boxes" * (not isinstance(model.semantics, Simulation))
+        + f"  largest widening: 1 + {max(mode.inflation for mode in model.modes) - 1:.1e} times",
     ]
     lines += [f"  note: {note}" for note in (*model.notes, *_warnings(model))]
     return lines
@@ -187,12 +186,14 @@ def envelope_pictures(model: IntervalModel, e: Experiment) -> list[Picture]:
         own = Trace(measured.channel, step.y)
         title = f"{model.name} on {e.name}: one step ahead"
         pictures.append(figures.envelope(title, step.t, own, {"one step": figures.Band(step.low, step.high)}))
+    if any(True for _ in bad_stamps(e.t, e.dt)):
+        return pictures  # a free run crosses no gap
     free = model.free_run(e)
     run = free.run
     if float(np.ptp(free.y)) * RUNAWAY < free.mean_radius:
         return pictures  # it grows without limit: the table says so, a picture would show nothing
-    error = free.output_error  # bounds are of the true output: a measured value may lie beyond them by its error
-    band = figures.Band(run.low - error, run.high + error, run.reached_low - error, run.reached_high + error)
+    error = free.output_error
+    band = figures.Band(free.low, free.high, run.reached_low - error, run.reached_high + error)
     title = f"{model.name} on {e.name}: free run"
     pictures.append(figures.envelope(title, free.t, Trace(measured.channel, free.y), {"free run": band}, run.nominal))
     return pictures
@@ -217,7 +218,10 @@ def domain_picture(model: IntervalModel, e: Experiment) -> Picture:
     """The two regressors of the most recent output, or inputs, of every mode, with the samples of a record."""
     regions = {f"mode {i}": shadow(mode.domain, 0, 1) for i, mode in enumerate(model.modes)}
     step, at = model.one_step(e), domain_coordinates(model.samples_of(e))
-    first, second = (Channel(name, model.output.unit) for name in model.form.names[:2])
+    units = [model.output.unit, *(c.unit for c in model.inputs)]
+    first, second = (
+        Channel(name, units[int(source)]) for name, source in zip(model.form.names[:2], model.form.source[:2], strict=True)
+    )
     return figures.domains(f"{model.name}: where its modes are known", first, second, regions, at[:, :2], step.mode.astype(int))
 
 
@@ -232,7 +236,8 @@ def envelope_table(envelopes: Sequence[Coverage]) -> Table:
              100 * c.valid, c.ratio) for c in envelopes
         ),
         caption="inside: measured values within the envelope; of a free run, whose envelope is of the true output, give or take "
-        "the error of the output. known: regressors within the domain of a mode. outer/reached: the "
+        "the error of the output (mean radius with it). Without a schedule the bounds of a free run hold for the sequence of "
+        "modes that the nominal run goes through. known: regressors within the domain of a mode. outer/reached: the "
         "guaranteed bound of a free run against what a found parameter sequence reaches; 1 means the bound is exact.",
     )  # fmt: skip
 

@@ -121,6 +121,10 @@ def test_every_kind_of_interval_model_can_be_asked_for(files, tmp_path, options,
         (["--semantics", "simulation", "--precision", "0.9"], "one mode"),
         (["--order", "600"], "reaches back 600"),
         (["--fir", "5", "--order", "2"], "exclude each other"),
+        (["--fir", "5", "--form", "shift"], "--form belongs to models with feedback"),
+        (["--intervals", "3", "--shortest", "9"], "--shortest belongs to modes along time"),
+        (["--semantics", "simulation", "--maximum-radius"], "--maximum-radius belongs to modes along time"),
+        (["--precision", "98"], "did you mean 0.98?"),
     ],
 )
 def test_wrong_options_are_refused_and_nothing_is_written(files, tmp_path, capsys, options, said):

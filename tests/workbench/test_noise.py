@@ -40,3 +40,11 @@ def test_gaps_are_not_crossed_and_short_records_say_nothing():
     assert measurement_noise(Dataset((broken,)), "y", ["u"]) < 0.03
     short = Experiment(e.name, e.t[:30], e.channels, e.values[:30], e.dt)
     assert measurement_noise(Dataset((short,)), "y", ["u"]) == 0.0
+
+
+@pytest.mark.parametrize("N", [300, 1000, 3000])
+def test_the_estimate_is_from_above_on_short_records_too(N):
+    """A bound that is too small would break every promise that rests on it."""
+    found = np.array([measurement_noise(Dataset((record(0.1, N=N, seed=s),)), "y", ["u"]) for s in range(30)]) / 0.1
+    assert np.mean(found >= 0.97) >= 0.9
+    assert np.median(found) < 1.5

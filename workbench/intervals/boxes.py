@@ -216,16 +216,24 @@ class Verified:
     inflated: int = 0
 
 
-def smallest_box(S: Samples, semantics: Semantics) -> Verified:
-    """The box of least mean radius that keeps the promise on all samples, verified."""
+def box_program(S: Samples, semantics: Semantics) -> BoxProgram:
+    """The program of a promise: linear, but for the paper's inclusion at regressors with errors."""
     if isinstance(semantics, InclusionPaper) and np.any(S.error > 0):
         from workbench.intervals.paper import PaperProgram
 
-        program: BoxProgram = PaperProgram(S, semantics)
-    else:
-        program = BoxProgram(S, semantics)
-    program.start(0, len(S))
-    return verified(program, program.solve(0, len(S)), 0, len(S))
+        return PaperProgram(S, semantics)
+    return BoxProgram(S, semantics)
+
+
+def smallest_box(S: Samples, semantics: Semantics) -> Verified:
+    """The box of least mean radius that keeps the promise on all samples, verified."""
+    return smallest_of(box_program(S, semantics), 0, len(S))
+
+
+def smallest_of(program: BoxProgram, first: int, last: int) -> Verified:
+    """The same for the samples [first, last) of a program."""
+    program.start(first, last)
+    return verified(program, program.solve(first, last), first, last)
 
 
 def verified(program: BoxProgram, box: ParameterBox, first: int, last: int) -> Verified:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.data import Dataset, Experiment
+from workbench.data import Dataset, Experiment, bad_stamps
 from workbench.errors import InputError
 from workbench.intervals.model import Envelope, IntervalModel, Simulated, Simulation
 from workbench.metrics import Horizon, Score, Split, fit, rm, rmse
@@ -77,7 +77,8 @@ def cover(
             )
         if not isinstance(model.semantics, Simulation):
             found.append(one_step_coverage(model, e, split, model.one_step(e)))
-        if free_run or isinstance(model.semantics, Simulation):
+        whole = next(iter(bad_stamps(e.t, e.dt)), None) is None  # a free run crosses no gap
+        if whole and (free_run or isinstance(model.semantics, Simulation)):
             last = len(e) - model.order - 1
             instants = tuple(int(k) for k in np.linspace(0, last, INSTANTS + 1)[1:]) if last > INSTANTS else None
             found.append(free_run_coverage(model, e, split, model.free_run(e, instants)))
@@ -92,7 +93,7 @@ def one_step_coverage(model: IntervalModel, e: Experiment, split: Split, envelop
 
 def free_run_coverage(model: IntervalModel, e: Experiment, split: Split, simulated: Simulated) -> Coverage:
     """The line for a free run that is already there."""
-    return _line(model, e, split, "free-run", simulated, simulated.run.nominal, 1.0, simulated.run.ratio)
+    return _line(model, e, split, "free-run", simulated, simulated.run.nominal, simulated.valid, simulated.run.ratio)
 
 
 def _line(

@@ -3,7 +3,7 @@
     one step   [y](k) = d'psi + centre'z -+ radius'|z|           regressors psi, z = T psi as measured
     free run   outputs fed back, parameters arbitrary in time: an outer and a reached bound (`envelopes`)
 
-What a model promises is its semantics. Equation-error boxes (`semantics`) hold every sample in one step; simulation boxes
+What a model promises is its semantics. Equation-error boxes (`semantics`) speak about every sample in one step; simulation boxes
 (`output_error`) hold every record in a free run. Neither promise implies the other, and one model makes one of them.
 
 [2] Linear time-varying models with interval parameters.
@@ -22,7 +22,7 @@ from workbench.files import read_json, write_json
 from workbench.intervals.arithmetic import dot, matmul
 from workbench.intervals.domains import Domain, domain_from_dict, nearest
 from workbench.intervals.envelopes import FreeRun, free_run
-from workbench.intervals.propagation import Recursion
+from workbench.intervals.propagation import Recursion, nominal
 from workbench.intervals.regressors import ARX, FIR, Form, Samples, Structure, samples
 from workbench.intervals.semantics import SEMANTICS, ParameterBox, Semantics
 from workbench.records import field, record
@@ -112,20 +112,32 @@ class Envelope:
 
 @record
 class Simulated:
-    """A free run of a record from sample k[0] on, with its measured output: bounds (`run`) and the mode sequence (K)."""
+    """A free run of a record from sample k[0] on, with its measured output: bounds (`run`) and the mode sequence (K).
+
+    `run` bounds the true output; low, high (K) bound the measured one, which may differ from it by output_error. known (K):
+    the nominal regressor (or the schedule) lies in the domain of the mode.
+    """
 
     k: np.ndarray = field("K")
     t: np.ndarray = field("K", unit="s")
     y: np.ndarray = field("K")
     mode: np.ndarray = field("K")
+    known: np.ndarray = field("K")
     run: FreeRun
     output_error: float = field("", low=0.0)
 
     @property
+    def low(self) -> np.ndarray:
+        return self.run.low - self.output_error
+
+    @property
+    def high(self) -> np.ndarray:
+        return self.run.high + self.output_error
+
+    @property
     def inside(self) -> np.ndarray:
-        """(K,) whether the measured value, give or take its error bound, lies in the outer envelope."""
-        e = self.output_error
-        return (self.run.low - e <= self.y) & (self.y <= self.run.high + e)
+        """(K,) whether the measured value lies in low .. high."""
+        return (self.low <= self.y) & (self.y <= self.high)
 
     @property
     def coverage(self) -> float:
@@ -133,7 +145,12 @@ class Simulated:
 
     @property
     def mean_radius(self) -> float:
-        return float(np.mean(self.run.high - self.run.low) / 2)
+        return float(np.mean(self.high - self.low) / 2)
+
+    @property
+    def valid(self) -> float:
+        """Share of samples at which the mode is known."""
+        return float(np.mean(self.known))
 
 
 @record
@@ -205,6 +222,15 @@ class IntervalModel:
             raise InputError(
                 f"sample time {experiment.dt:g} s, the model has {self.dt:g} s", file=experiment.name, mend="resample the record"
             )
+        for channel in (*self.inputs, self.output, *([self.schedule] if self.schedule else [])):
+            unit = experiment.channel(channel.name).unit
+            if unit and channel.unit and unit != channel.unit:
+                raise InputError(
+                    f"in {unit}, the model has it in {channel.unit}",
+                    file=experiment.name,
+                    channel=channel.name,
+                    mend="convert it",
+                )
         names = [c.name for c in self.inputs]
         return samples(
             self.structure,
@@ -250,15 +276,21 @@ class IntervalModel:
         """Outer and reached bounds of y from the measured inputs and the first n outputs alone, parameters arbitrary in time.
 
         Input errors enter as one more bounded term of the equation. The modes follow the schedule, or without one the nominal
-        run; then the bounds hold for that sequence of modes. Raises InputError for a record with gaps.
+        run; then the bounds hold for that sequence of modes and no other. Raises InputError for a record with gaps.
         """
         S = self.samples_of(experiment)
         if len(set(S.piece)) > 1:
             raise InputError("a free run cannot cross a gap", file=experiment.name, mend="cut the record there with trim")
         recursion, mode = self.recursion(S, experiment)
         k = S.index.astype(int)
+        at = self._coordinates(S, experiment, k)
+        if self.schedule is None:
+            at = nominal(recursion).z[:, : len(self.form.names)][:, self.form.source >= 0]
+        known = np.zeros(len(k))
+        for j, m in enumerate(self.modes):
+            known[mode == j] = m.domain.holds(_finite(at[mode == j]))
         run = _with_band(free_run(recursion, instants), np.array([m.band for m in self.modes])[mode])
-        return Simulated(k, experiment.t[k], S.y, mode, run, self.output_error)
+        return Simulated(k, experiment.t[k], S.y, mode, known, run, self.output_error)
 
     def recursion(self, S: Samples, experiment: Experiment) -> tuple[Recursion, np.ndarray]:
         """The free run of a record as x+ = A x + q + b w (see `propagation`), and its mode sequence (K).
@@ -409,6 +441,11 @@ def _from_dict(content: dict[str, Any], path) -> IntervalModel:
         trained_on=tuple(content["trained_on"]),
         notes=tuple(content["notes"]),
     )
+
+
+def _finite(at: np.ndarray) -> np.ndarray:
+    """A nominal run that ran away is far outside, but a number."""
+    return np.clip(np.nan_to_num(at, nan=1e300), -1e300, 1e300)
 
 
 def _with_band(run: FreeRun, band: np.ndarray) -> FreeRun:

@@ -16,12 +16,11 @@ import numpy as np
 from workbench.advice import quantum
 from workbench.data import Dataset
 from workbench.errors import InputError
-from workbench.intervals.boxes import BoxProgram, Verified, verified
+from workbench.intervals.boxes import BoxProgram, Verified, box_program, smallest_of
 from workbench.intervals.domains import Aggregation, Box, Domain, Hull, aggregate
 from workbench.intervals.model import IntervalModel, Mode, Span, domain_coordinates
-from workbench.intervals.paper import PaperProgram
 from workbench.intervals.regressors import ARX, Samples, Structure, samples
-from workbench.intervals.semantics import InclusionAll, InclusionPaper, Semantics
+from workbench.intervals.semantics import InclusionAll, Semantics
 from workbench.intervals.splitting import Criterion, MeanRadius, improve, split
 from workbench.noise import measurement_noise
 from workbench.records import field, record
@@ -101,7 +100,7 @@ class IntervalRegression:
             raise InputError("no schedule channel", mend="name one with --schedule, or leave the schedule intervals out")
         e_y, e_u, notes = error_bounds(dataset, y, u, self.output_error, self.input_error)
         S = samples(self.structure, dataset, y, u, output_error=e_y, input_error=e_u)
-        program = _program(S, self.semantics)
+        program = box_program(S, self.semantics)
         schedule = first.names_of("schedule")[:1] if isinstance(self.partition, BySchedule) else ()
         if isinstance(self.partition, InTime):
             modes, more = _in_time(program, self.partition)
@@ -124,7 +123,10 @@ def named_output(dataset: Dataset, output: str | None) -> str:
     """The output asked for, or the only one."""
     outputs = dataset.experiments[0].names_of("output")
     if output is not None:
-        return dataset.experiments[0].channel(output).name
+        channel = dataset.experiments[0].channel(output)
+        if channel.role == "input":
+            raise InputError("is an input", channel=output, mend=f"name an output: {', '.join(outputs) or 'with roles'}")
+        return channel.name
     if len(outputs) != 1:
         raise InputError(
             f"{len(outputs)} outputs, an interval model has one", mend=f"name one: {', '.join(outputs) or '--output NAME'}"
@@ -154,12 +156,6 @@ def error_bounds(
             f"{len(e_u)} input errors for {len(inputs)} inputs", mend=f"give one, or one for each of {', '.join(inputs)}"
         )
     return float(e_y), e_u, notes
-
-
-def _program(S: Samples, semantics: Semantics) -> BoxProgram:
-    return (
-        PaperProgram(S, semantics) if isinstance(semantics, InclusionPaper) and np.any(S.error > 0) else BoxProgram(S, semantics)
-    )
 
 
 # ---- modes ------------------------------------------------------------------------------------------------------------
@@ -201,7 +197,7 @@ def _merged(
     def join(a: _Item, b: _Item) -> _Item | None:
         both = np.sort(np.concatenate([a.rows, b.rows])).astype(int)
         mode = _mode(program, both)
-        part = _program(program.S.rows(both), program.semantics)
+        part = box_program(program.S.rows(both), program.semantics)
         limit = -math.log(precision) * program.unit
         return None if asked.criterion.too_wide(part, mode.box, 0, len(both), limit) else _Item(mode, both)
 
@@ -217,10 +213,9 @@ def _by_schedule(program: BoxProgram, asked: BySchedule, dataset: Dataset) -> tu
     edges = _enough(rho, np.linspace(rho.min(), rho.max(), asked.intervals + 1), FEWEST * program.z.shape[1])
     modes = []
     for low, high in itertools.pairwise(edges):
-        rows = np.flatnonzero(
-            (rho >= low) & (rho <= high)
-        )  # a sample on an edge counts on both sides: both modes are valid there
-        modes.append(_mode(program, rows, domain=_interval(low, high)))
+        domain = _interval(low, high)
+        rows = np.flatnonzero(domain.holds(rho[:, None]))  # a sample on an edge counts twice: there both modes are valid
+        modes.append(_mode(program, rows, domain=domain))
     merged = [] if len(edges) == asked.intervals + 1 else [f"{len(modes)} schedule intervals: others held too few samples"]
     return modes, merged
 
@@ -236,17 +231,15 @@ def _enough(rho: np.ndarray, edges: np.ndarray, fewest: int) -> np.ndarray:
 
 def schedule_values(S: Samples, dataset: Dataset, channel: str) -> np.ndarray:
     """rho (K) at the samples of a regression."""
-    by_name = {e.name: e[channel] for e in dataset}
-    return np.array([by_name[S.records[int(p)]][int(k)] for p, k in zip(S.piece, S.index, strict=True)])
+    values = [e[channel] for e in dataset]
+    return np.array([values[S.origin[int(p)]][int(k)] for p, k in zip(S.piece, S.index, strict=True)])
 
 
 def _mode(
     program: BoxProgram, rows: np.ndarray, fitted: Verified | None = None, *, domain: Domain | None = None, short: bool = False
 ) -> Mode:
-    part = _program(program.S.rows(rows), program.semantics)
-    if fitted is None:
-        part.start(0, len(rows))
-        fitted = verified(part, part.solve(0, len(rows)), 0, len(rows))
+    part = box_program(program.S.rows(rows), program.semantics)
+    fitted = fitted or smallest_of(part, 0, len(rows))
     return Mode(
         box=fitted.box,
         domain=domain or _domain(part),

@@ -118,6 +118,7 @@ class Samples:
     piece: np.ndarray = field("K")  # rows of one number follow each other in time
     index: np.ndarray = field("K")  # sample within the record
     records: tuple[str, ...]  # name of the record of each piece
+    origin: tuple[int, ...] = ()  # its number within the dataset: two records may have one name
 
     def __len__(self) -> int:
         return len(self.y)
@@ -131,7 +132,7 @@ class Samples:
         """Some of the rows."""
         return Samples(
             self.structure, self.form, self.psi[chosen], self.y[chosen], self.error, self.output_error, self.piece[chosen],
-            self.index[chosen], self.records,
+            self.index[chosen], self.records, self.origin,
         )  # fmt: skip
 
 
@@ -156,8 +157,8 @@ def samples(
             raise InputError(f"error bound {e:g}, expected 0 or more", channel=name, mend="give e_y, e_u as |measured - true|")
     form = structure.form(output, inputs)
     n = structure.memory
-    psi, y, piece, index, records = [], [], [], [], []
-    for e in [dataset] if isinstance(dataset, Experiment) else dataset:
+    psi, y, piece, index, records, origin = [], [], [], [], [], []
+    for number, e in enumerate([dataset] if isinstance(dataset, Experiment) else dataset):
         columns = e[[output, *inputs]]
         for first, last in _whole_pieces(e):
             if last - first <= n:
@@ -168,6 +169,7 @@ def samples(
             piece.append(np.full(len(k), len(records)))
             index.append(k)
             records.append(e.name)
+            origin.append(number)
     if not y:
         longest = max(len(e) for e in ([dataset] if isinstance(dataset, Experiment) else dataset))
         raise InputError(
@@ -177,7 +179,7 @@ def samples(
     error = np.where(form.source >= 0, errors[form.source.astype(int)], 0.0)
     return Samples(
         structure, form, np.concatenate(psi), np.concatenate(y), error, float(output_error), np.concatenate(piece),
-        np.concatenate(index), tuple(records),
+        np.concatenate(index), tuple(records), tuple(origin),
     )  # fmt: skip
 
 

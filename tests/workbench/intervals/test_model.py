@@ -214,6 +214,124 @@ def test_a_free_run_without_schedule_follows_the_modes_of_its_own_regressors(mod
     assert np.all(found.run.low <= found.run.nominal)
 
 
+def stepped(seed=31, *, name="a", N=600):
+    """A machine whose schedule stands still on round values: they lie on the edges of its intervals, up to rounding."""
+    e = plant(N, seed, name=name, noise=0.0, spread=0.0)
+    rho = np.round(np.floor(np.linspace(0, 10.999, N)) / 10, 10)
+    y = np.zeros(N)
+    for k in range(2, N):
+        y[k] = 1.2 * y[k - 1] - 0.5 * y[k - 2] + (0.4 + rho[k]) * e["u"][k - 1]
+    return Experiment.from_arrays(name, 0.1, inputs={"u": e["u"], "v": e["v"]}, outputs={"y": y}, schedule={"rho": rho})
+
+
+@pytest.mark.parametrize("intervals", [3, 5, 10])
+def test_a_schedule_on_the_edge_of_two_intervals_is_held_by_both(intervals):
+    """np.linspace gives 0.6000000000000001: the sample must be in the box of every mode whose domain takes it."""
+    e = stepped()
+    model = IntervalRegression(ARX(2), InclusionExact(), BySchedule(intervals), 0.0, 0.0).fit(Dataset((e,)))
+    for j, mode in enumerate(model.modes):
+        held = np.flatnonzero(mode.domain.holds(e["rho"][:, None])[2:]) + 2
+        listed = {k for span in mode.spans for k in range(span.first, span.last + 1)}
+        assert set(held.tolist()) == listed, j
+    assert model.one_step(e).coverage == 1.0
+    assert model.free_run(e).coverage == 1.0
+
+
+def test_the_mode_of_a_scheduled_free_run_is_that_of_the_schedule_now():
+    e = plant(300, 33)
+    model = IntervalRegression(ARX(2), partition=BySchedule(4), output_error=0.0, input_error=0.0).fit(Dataset((e,)))
+    found = model.free_run(e)
+    for i, k in enumerate(found.k.astype(int)):
+        domain = model.modes[int(found.mode[i])].domain
+        assert domain.low[0] - 1e-9 <= e["rho"][k] <= domain.high[0] + 1e-9
+    assert found.valid == 1.0
+
+
+def test_records_of_one_name_keep_their_own_schedules():
+    first, second = plant(300, 41), plant(200, 42)
+    second = Experiment(first.name, second.t, second.channels, second.values * np.array([1, 1, 1, -1.0]), second.dt)
+    data = Dataset((first, second))
+    model = IntervalRegression(ARX(2), InclusionExact(), BySchedule(4), 0.0, 0.0).fit(data)
+    assert all(model.one_step(e).coverage == 1.0 for e in data)
+
+
+def test_errors_of_inputs_and_outputs_reach_their_own_channels():
+    """u errs, v does not: the extra term of a free run is |b_u| + radius_u at its worst, and reversing the errors changes it."""
+    e = plant(300, 43)
+    widths = []
+    for errors in ((0.1, 0.0), (0.0, 0.1)):
+        model = IntervalRegression(ARX(1), InclusionExact(), output_error=0.0, input_error=errors).fit(Dataset((e,)))
+        S = model.samples_of(e)
+        recursion, _ = model.recursion(S, e)
+        rows = model.form.d + model.form.T.T @ model.modes[0].box.centre
+        source = model.form.source
+        own = np.array([errors[int(s) - 1] if s > 0 else 0.0 for s in source])
+        worst = np.abs(rows) @ own + model.modes[0].box.radius @ (np.abs(model.form.T) @ own)
+        assert recursion.lam[0, -1] == pytest.approx(worst, rel=1e-12)
+        widths.append(worst)
+    assert widths[0] != widths[1]
+
+
+def test_bounds_are_rounded_outward(models, records):
+    e = records.experiments[1]
+    model = models["exact regressors"]
+    envelope, F = model.one_step(e), Fraction
+    for i in range(0, len(envelope.k), 7):
+        k = int(envelope.k[i])
+        slack = literal_promise(model, model.modes[0], e, k)
+        top = F(float(envelope.high[i])) - F(float(e["y"][k])) - F(NOISE)
+        bottom = F(float(e["y"][k])) - F(NOISE) - F(float(envelope.low[i]))
+        assert min(top, bottom) >= slack
+
+
+def test_what_a_free_run_counts_as_inside_is_the_width_it_reports(models):
+    e = plant(200, 44, name="held")
+    found = models["one box"].free_run(e)
+    np.testing.assert_array_equal(found.low, found.run.low - NOISE)
+    np.testing.assert_array_equal(found.high, found.run.high + NOISE)
+    assert found.coverage == np.mean((found.y >= found.low) & (found.y <= found.high))
+    assert found.mean_radius == pytest.approx(np.mean(found.high - found.low) / 2)
+
+
+def test_a_free_run_says_where_nobody_has_been(models):
+    e = plant(200, 45, name="held")
+    far = Experiment(e.name, e.t, e.channels, e.values + np.array([0.0, 0.0, 0.0, 9.0]), e.dt)
+    assert models["by schedule"].free_run(far).valid == 0.0
+    louder = Experiment(e.name, e.t, e.channels, e.values * np.array([50.0, 1.0, 1.0, 1.0]), e.dt)
+    assert models["one box"].free_run(louder).valid < 0.2
+    line = cover(models["by schedule"], (far,), "held-out")[1]
+    assert (line.horizon, line.valid) == ("free-run", 0.0)
+
+
+def test_a_gap_stops_a_free_run_and_not_the_one_step_line(models):
+    e = plant(200, 46, name="held")
+    t = e.t.copy()
+    t[100:] += 3.0
+    broken = Experiment(e.name, t, e.channels, e.values, e.dt)
+    with pytest.raises(InputError, match="cannot cross a gap"):
+        models["one box"].free_run(broken)
+    assert [line.horizon for line in cover(models["one box"], (broken,), "held-out")] == ["one-step"]
+    assert len(models["one box"].one_step(broken).k) == 196
+
+
+def test_units_and_roles_are_those_of_the_model():
+    e = plant(200, 47)
+    metres = Experiment.from_arrays("a", 0.1, inputs={"u": e["u"]}, outputs={"y": e["y"]}, units={"y": "m"})
+    model = IntervalRegression(ARX(1), output_error=0.0, input_error=0.0).fit(Dataset((metres,)))
+    other = Experiment.from_arrays("b", 0.1, inputs={"u": e["u"]}, outputs={"y": 1000 * e["y"]}, units={"y": "mm"})
+    with pytest.raises(InputError, match="in mm, the model has it in m"):
+        model.one_step(other)
+    with pytest.raises(InputError, match="is an input"):
+        IntervalRegression(ARX(1)).fit(Dataset((metres,)), "u")
+
+
+def test_half_a_quantum_is_the_error_of_a_quantised_input():
+    e = plant(500, 48)
+    coarse = Experiment.from_arrays("a", 0.1, inputs={"v": np.round(e["v"] / 0.1) * 0.1}, outputs={"y": e["y"]})
+    model = IntervalRegression(ARX(1)).fit(Dataset((coarse,)))
+    assert model.input_error[0] == pytest.approx(0.05, rel=1e-6)
+
+
 # ---- simulation boxes ---------------------------------------------------------------------------------------------------
 
 
@@ -224,7 +342,9 @@ def simulation(records):
 
 def test_a_simulation_box_holds_every_record_in_its_free_run_and_promises_nothing_else(simulation, records):
     for e in records:
-        assert simulation.free_run(e).coverage == 1.0
+        found = simulation.free_run(e)
+        assert np.all(found.run.high >= found.y + NOISE)  # the measured interval, not only the value
+        assert np.all(found.run.low <= found.y - NOISE)
     assert isinstance(simulation.semantics, Simulation)
     with pytest.raises(InputError, match="no one-step envelope"):
         simulation.one_step(records.experiments[0])
