@@ -110,14 +110,18 @@ def described_modes(model: IntervalModel) -> list[str]:
     count = len(model.modes)
     radius = max(mode.mean_radius for mode in model.modes)
     inflated = sum(mode.inflated for mode in model.modes)
+    widened = f"{max(mode.inflation for mode in model.modes) - 1:.1e}"
+    if isinstance(model.semantics, Simulation):
+        checked = f"every free run checked; radii widened by {widened} of themselves for that"
+    else:
+        checked = f"every sample verified; {inflated} of them asked for wider radii, by {widened} of themselves at most"
     union = "; where several hold a sample, their union counts" * (count > 1)
     lines = [
         f"{model.name}: {type(model.structure).__name__} of order {model.order} for {model.output}, "
         f"promise {model.semantics.name}: {model.semantics.promise}",
         f"  {count} mode{'s' * (count > 1)}, precision {model.precision:.6g}, mean radius over its own samples at most "
         f"{radius:.4g} {model.output.unit} ({100 * radius / model.unit_range:.2g} % of the range){union}",
-        f"  every sample verified; {inflated} needed wider boxes" * (not isinstance(model.semantics, Simulation))
-        + f"  largest widening: 1 + {max(mode.inflation for mode in model.modes) - 1:.1e} times",
+        f"  {checked}",
     ]
     lines += [f"  note: {note}" for note in (*model.notes, *_warnings(model))]
     return lines
