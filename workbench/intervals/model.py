@@ -75,8 +75,31 @@ class Mode:
     band: float = field("", default=0.0, low=0.0)
 
 
+class _Bounds:
+    """Measured values y between low and high, (K) each."""
+
+    y: np.ndarray
+    low: Any
+    high: Any
+
+    @property
+    def inside(self) -> np.ndarray:
+        """(K,) whether the measured value lies in low .. high."""
+        return (self.low <= self.y) & (self.y <= self.high)
+
+    @property
+    def coverage(self) -> float:
+        """Share of measured values within the bounds, 0 to 1."""
+        return float(np.mean(self.inside))
+
+    @property
+    def mean_radius(self) -> float:
+        """Mean half-width [unit of y]."""
+        return float(np.mean(self.high - self.low) / 2)
+
+
 @record
-class Envelope:
+class Envelope(_Bounds):
     """One-step envelope of a record at its samples k (K): low <= y <= high, and the mode that is nearest.
 
     valid: the regressor lies in the domain of a mode; elsewhere the nearest mode speaks, and nobody has seen the machine there.
@@ -91,27 +114,13 @@ class Envelope:
     gauge: np.ndarray = field("K")
 
     @property
-    def inside(self) -> np.ndarray:
-        """(K,) whether the measured value lies in the envelope."""
-        return (self.low <= self.y) & (self.y <= self.high)
-
-    @property
-    def coverage(self) -> float:
-        """Share of measured values in the envelope, 0 to 1."""
-        return float(np.mean(self.inside))
-
-    @property
-    def mean_radius(self) -> float:
-        return float(np.mean(self.high - self.low) / 2)
-
-    @property
     def valid(self) -> float:
         """Share of samples whose regressor lies in the domain of a mode."""
         return float(np.mean(self.gauge == 0.0))
 
 
 @record
-class Simulated:
+class Simulated(_Bounds):
     """A free run of a record from sample k[0] on, with its measured output: bounds (`run`) and the mode sequence (K).
 
     `run` bounds the true output; low, high (K) bound the measured one, which may differ from it by output_error. known (K):
@@ -133,19 +142,6 @@ class Simulated:
     @property
     def high(self) -> np.ndarray:
         return self.run.high + self.output_error
-
-    @property
-    def inside(self) -> np.ndarray:
-        """(K,) whether the measured value lies in low .. high."""
-        return (self.low <= self.y) & (self.y <= self.high)
-
-    @property
-    def coverage(self) -> float:
-        return float(np.mean(self.inside))
-
-    @property
-    def mean_radius(self) -> float:
-        return float(np.mean(self.high - self.low) / 2)
 
     @property
     def valid(self) -> float:
