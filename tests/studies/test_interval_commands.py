@@ -70,6 +70,14 @@ def test_the_page_shows_envelopes_and_modes(identified):
     assert any((identified / "data").glob("*one-step*.csv"))
 
 
+def test_the_verdict_counts_held_out_records_only(identified):
+    entry = json.loads((identified / "scores.json").read_text())["models"][1]
+    own = next(e for e in entry["envelopes"] if e["split"] == "held-out" and e["horizon"] == "one-step")
+    page = (identified / "report.html").read_text()
+    said = f"one-step {100 * own['coverage']:.1f} % of the measured values within +-{100 * own['relative']:.2g} % of the range"
+    assert f"Envelopes of interval on held-out records: {said}" in page
+
+
 def test_coverage_of_held_out_records_is_said_first(files, tmp_path, capsys):
     main(["identify", files[0], *ROLES, "--model", "interval", "--e-y", "0.005", "--validate", files[1], "--out", str(tmp_path)])
     said = [line for line in capsys.readouterr().out.splitlines() if " envelope: " in line]
