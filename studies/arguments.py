@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from plants import PLANTS
+from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.physics.plant import Plant
 
@@ -97,6 +98,25 @@ def check_file(path: str | None, option: str) -> None:
         raise InputError(
             "is a folder" if Path(path).is_dir() else "its folder does not exist", file=path, mend=f"give {option} FILE"
         )
+
+
+def record_files(folder: Path) -> list[Path]:
+    """The records in a user's folder, by name: at least two, for one of them is held out."""
+    if not folder.is_dir():
+        raise InputError("no such folder" if not folder.exists() else "is a file", file=folder, mend="give --data FOLDER")
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".txt", ".tsv", ".mat"))
+    if len(files) < 2:
+        raise InputError(f"{len(files)} records", file=folder, mend="the study needs at least two records, one of them held out")
+    return files
+
+
+def split_estimation(dataset: Dataset, known: Iterable[str]) -> tuple[Dataset, Dataset]:
+    """Estimation and held-out records: those of a known name estimate, otherwise the first half; one at least is held out."""
+    names = list(dataset.names)
+    estimation = [name for name in names if name.lower() in known] or names[: (len(names) + 1) // 2]
+    chosen, rest = dataset.split_records(estimation if len(estimation) < len(names) else names[:-1])
+    check_held_out(chosen, rest)
+    return chosen, rest
 
 
 def run_folder(out: str | None, command: str) -> Path:

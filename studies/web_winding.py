@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from plants import WEB_WINDING
+from studies.arguments import record_files, split_estimation
 from studies.comparison import residual_table, traces
 from studies.envelopes import covered_verdict
 from studies.experiments import plan
 from studies.results import Result, scores_file
 from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
 from workbench.advice import Advice, advice
-from workbench.data import Channel, Dataset, Experiment, check_held_out
-from workbench.errors import InputError
+from workbench.data import Channel, Dataset, Experiment
 from workbench.files import write_json
 from workbench.identify.ilm import ILM
 from workbench.identify.lti import LTI
@@ -179,20 +179,11 @@ def _simulate(seed: int, folder: Path, progress: Say) -> Records:
 
 def _read(folder: Path) -> Records:
     """A user's records: PRBS1 and RBS estimate where they are there, otherwise the first half by name."""
-    if not folder.is_dir():
-        raise InputError("no such folder" if not folder.exists() else "is a file", file=folder, mend="give --data FOLDER")
-    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".txt", ".tsv", ".mat"))
-    if len(files) < 2:
-        raise InputError(f"{len(files)} records", file=folder, mend="the study needs at least two records, one of them held out")
+    files = record_files(folder)
     dataset = read_all(files, inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,))
     for experiment in dataset:
         check_units(experiment, {c.name: c.unit for c in (*WEB_WINDING.inputs, *WEB_WINDING.outputs)})
-    names = [e.name for e in dataset]
-    estimation = [name for name in names if name.lower() in ESTIMATION] or names[: (len(names) + 1) // 2]
-    if len(estimation) == len(names):
-        estimation = names[:-1]
-    chosen, rest = dataset.split_records(estimation)
-    check_held_out(chosen, rest)
+    chosen, rest = split_estimation(dataset, ESTIMATION)
     return Records(chosen, rest, None, tuple(files))
 
 

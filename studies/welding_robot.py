@@ -18,11 +18,12 @@ import numpy as np
 from scipy.linalg import expm
 
 from plants import WELDING_ROBOT
+from studies.arguments import record_files, split_estimation
 from studies.bounded import Bounded, bounded, cover_bounded
 from studies.envelopes import described_modes, domain_picture, envelope_pictures, envelope_table, mode_tables, width_picture
 from studies.experiments import CURVES, plan
 from studies.results import Result, scores_file
-from workbench.data import Channel, Dataset, Experiment, check_held_out
+from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.identify.lti import LTI
@@ -210,21 +211,12 @@ def _known(e: Experiment) -> Experiment:
 
 def _read(folder: Path) -> Records:
     """A user's records: random excitation estimates where it is there by name, otherwise the first half by name."""
-    if not folder.is_dir():
-        raise InputError("no such folder" if not folder.exists() else "is a file", file=folder, mend="give --data FOLDER")
-    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".csv", ".txt", ".tsv", ".mat"))
-    if len(files) < 2:
-        raise InputError(f"{len(files)} records", file=folder, mend="the study needs at least two records, one of them held out")
+    files = record_files(folder)
     experiments = tuple(read_all(files, inputs=(INPUT,), outputs=(OUTPUT,)))
     for experiment in experiments:
         check_units(experiment, {c.name: c.unit for c in (*WELDING_ROBOT.inputs, *WELDING_ROBOT.outputs)})
     dataset = Dataset(tuple(_known(e) for e in experiments))
-    names = list(dataset.names)
-    estimation = [name for name in names if name.lower() in RANDOM] or names[: (len(names) + 1) // 2]
-    if len(estimation) == len(names):
-        estimation = names[:-1]
-    chosen, rest = dataset.split_records(estimation)
-    check_held_out(chosen, rest)
+    chosen, rest = split_estimation(dataset, RANDOM)
     return Records(chosen, rest, files=tuple(files))
 
 
