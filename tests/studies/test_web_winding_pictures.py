@@ -4,23 +4,14 @@ import numpy as np
 import pytest
 
 from plants import WEB_WINDING
-from studies import web_winding
 from studies.web_winding import frozen_machine, true_coefficients
-from workbench.report import figures
+from workbench.lpv import load_model
 
 
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory):
+@pytest.fixture
+def drawn(winding_study):
     """What the study hands to the two figures that show the truth, and the model that was drawn."""
-    seen, original = {}, (figures.coefficient_functions, figures.frozen_responses)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(figures, "coefficient_functions", lambda *a, **k: seen.update(coefficients=a) or original[0](*a, **k))
-        patch.setattr(figures, "frozen_responses", lambda *a, **k: seen.update(frozen=a) or original[1](*a, **k))
-        folder = tmp_path_factory.mktemp("study")
-        web_winding.main(quick=True, folder=folder, seed=5, say=lambda _: None, progress=lambda _: None)
-    from workbench.lpv import load_model
-
-    return seen, load_model(folder / "ssm.json")
+    return winding_study[3], load_model(winding_study[0] / "ssm.json")
 
 
 def test_coefficient_curves_carry_the_names_of_their_signals(drawn):

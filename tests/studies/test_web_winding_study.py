@@ -10,11 +10,9 @@ from studies.web_winding import frozen_machine, true_coefficients
 from workbench.errors import InputError
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    folder, said = tmp_path_factory.mktemp("study"), []
-    path = web_winding.main(quick=True, folder=folder, seed=5, say=said.append, progress=lambda _: None)
-    return folder, path, "\n".join(said)
+@pytest.fixture
+def result(winding_study):
+    return winding_study[:3]
 
 
 def test_every_study_has_a_main():

@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 
-from studies import web_winding
 from workbench.intervals.model import load_interval_model
 from workbench.lpv import load_model
 from workbench.metrics import fit, rm
@@ -19,11 +18,10 @@ PRINTED = {  # [1] Tables 1.1 and 1.2, as typed from ../shared/seeds
 RECORDS = ("prbs1", "prbs2", "rbs", "sine", "rgs")
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    folder, said = tmp_path_factory.mktemp("study"), []
-    web_winding.main(quick=True, folder=folder, seed=5, say=said.append, progress=lambda _: None)
-    return folder, "\n".join(said), json.loads((folder / "scores.json").read_text())["models"]
+@pytest.fixture
+def result(winding_study):
+    folder, _, said, _ = winding_study
+    return folder, said, json.loads((folder / "scores.json").read_text())["models"]
 
 
 def test_only_prbs1_and_rbs_count_as_estimation(result):

@@ -155,8 +155,7 @@ class _Ascent:
 
     def run(self) -> np.ndarray:
         """side y(T) of every lane (L,), after the last sweep that improved one of them."""
-        value = np.full(len(self.side), -np.inf)
-        self.forward()
+        value = self.forward()
         for _ in range(SWEEPS):
             self.backward()
             former, value = value, self.forward()

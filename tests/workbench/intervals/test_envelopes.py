@@ -6,7 +6,7 @@ from math import comb
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from workbench.errors import InputError
@@ -405,6 +405,7 @@ def test_a_light_damping_makes_the_worst_signs_alternate():
 
 @settings(max_examples=15, deadline=None)
 @given(SEEDS, st.integers(1, 6), st.integers(0, 1))
+@example(seed=199, n=6, spread=0)  # one sweep is not enough here
 def test_the_sequence_for_an_instant_cannot_be_improved_at_a_single_sample(seed, n, spread):
     r = some(seed, n=n, p=2, N=10, modes=2, spread=spread, through=-1.0)
     found = worst_sequences(r, [6, 9])
