@@ -8,7 +8,7 @@ import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
-from workbench.intervals.coverage import Coverage
+from workbench.intervals.coverage import SAYS_NOTHING, Coverage
 from workbench.intervals.domains import shadow
 from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
 from workbench.intervals.output_error import OutputErrorRegression
@@ -145,12 +145,12 @@ def covered_verdict(envelopes: Sequence[Coverage]) -> str:
     said = []
     for horizon in dict.fromkeys(c.horizon for c in held):
         own = [c for c in held if c.horizon == horizon]
-        if any(c.relative > 1.0 for c in own):
-            said.append(f"{horizon} wider than the output's own range, it says nothing")
+        if horizon == "free-run" and any(c.relative > SAYS_NOTHING for c in own):
+            said.append("free-run as wide as the output moves, it says nothing")
             continue
         inside = sum(c.coverage * c.samples for c in own) / sum(c.samples for c in own)
         width = sum(c.relative * c.samples for c in own) / sum(c.samples for c in own)
-        said.append(f"{horizon} {100 * inside:.1f} % of the measured values within +-{100 * width:.2g} % of the range")
+        said.append(f"{horizon} {100 * inside:.1f} % of the measured values within ±{100 * width:.2g} % of the range")
     where = "held-out records" if held[0].split == "held-out" else "the records it was made from"
     return f"Envelopes of {held[0].model} on {where}: {', '.join(said)}."
 
@@ -231,13 +231,15 @@ def domain_picture(model: IntervalModel, e: Experiment) -> Picture:
 
 def envelope_table(envelopes: Sequence[Coverage]) -> Table:
     """Every envelope, a row each."""
+    named = len({c.output for c in envelopes}) > 1  # one output goes into the header, several into the rows
+    radius = "mean radius" if named else f"mean radius [{envelopes[0].unit}]"
     return Table(
         "Envelopes",
-        ("model", "record", "split", "output", "envelope", "inside [%]", "mean radius", "unit", "share of range [%]",
+        ("model", "record", "split", *(["output"] if named else []), "envelope", "inside [%]", radius, "of range [%]",
          "known [%]", "outer/reached"),
         tuple(
-            (c.model, c.record, c.split, c.output, str(c.horizon), 100 * c.coverage, c.mean_radius, c.unit, 100 * c.relative,
-             100 * c.valid, c.ratio) for c in envelopes
+            (c.model, c.record, c.split, *([f"{c.output} [{c.unit}]"] if named else []), str(c.horizon), 100 * c.coverage,
+             c.mean_radius, 100 * c.relative, 100 * c.valid, c.ratio) for c in envelopes
         ),
         caption="inside: measured values within the envelope; of a free run, whose envelope is of the true output, give or take "
         "the error of the output (mean radius with it). Without a schedule the bounds of a free run hold for the sequence of "

@@ -27,7 +27,7 @@ from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.identify.lti import LTI
-from workbench.intervals.coverage import Coverage, cover
+from workbench.intervals.coverage import SAYS_NOTHING, Coverage, cover
 from workbench.intervals.model import IntervalModel
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import IntervalRegression, InTime
@@ -58,7 +58,6 @@ MULTIPLES = (1, 2, 3, 4, 5)  # of the records' sample time, at which boxes are t
 SHORTEST = 300  # samples that a record must keep
 TIGHTER = (0.95, 0.9, 0.85, 0.8, 0.75, 0.7, 0.6, 0.5)  # mean radius asked of modes, in that of one box
 TOLERANCE = 1e-3  # of the precision, to which it is raised without more modes
-USELESS = 0.5  # mean radius of an envelope in ranges of the output, from which on it is wider than the output moves
 
 
 @record
@@ -378,7 +377,9 @@ def verdict(identified: Identified, judged: Judged, records: Records, quick: boo
         f"{_inside(judged.held(lti.name, 'one-step')):.1f} % within {_width(judged.held(lti.name, 'one-step'), one, unit)}. "
     )
     text += f"In a free run that box reaches {_width(free, one, unit)}"
-    text += ", as wide as the speed moves: it says nothing there. " if _mean_radius(free) >= USELESS * one.unit_range else ". "
+    text += (
+        ", as wide as the speed moves: it says nothing there. " if _mean_radius(free) >= SAYS_NOTHING * one.unit_range else ". "
+    )
     box = judged.held("simulation-box", "free-run")
     text += (
         f"The simulation box holds {_inside(box):.1f} % within {_width(box, one, unit)}: no bound for inputs of another kind. "

@@ -74,7 +74,7 @@ def test_the_verdict_counts_held_out_records_only(identified):
     entry = json.loads((identified / "scores.json").read_text())["models"][1]
     own = next(e for e in entry["envelopes"] if e["split"] == "held-out" and e["horizon"] == "one-step")
     page = (identified / "report.html").read_text()
-    said = f"one-step {100 * own['coverage']:.1f} % of the measured values within +-{100 * own['relative']:.2g} % of the range"
+    said = f"one-step {100 * own['coverage']:.1f} % of the measured values within ±{100 * own['relative']:.2g} % of the range"
     assert f"Envelopes of interval on held-out records: {said}" in page
 
 
