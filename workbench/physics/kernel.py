@@ -146,11 +146,13 @@ LANES = {lanes}
 
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1, b1)",
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1, b1, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[:, :, ::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
-    W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, affected, remembering
+    W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, affected, remembering,
+    observed, gain, restart, push, remembered
 ):
     """Advance LANES runs through len(reference) samples; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
@@ -179,6 +181,31 @@ def run(
         for i in range({ny}):
             for l in range(LANES):
                 measured[k, i, l] = W[({y} + i) * LANES + l]
+        for i in range({nm} if len(remembered) > 0 else 0):
+            for l in range(LANES):
+                remembered[k, i, l] = W[({mem} + i) * LANES + l]
+        # the state before the next step: given for every sample anew, or corrected by what was observed
+        if len(restart) > 0:
+            for i in range({nx}):
+                for l in range(LANES):
+                    W[({x} + i) * LANES + l] = restart[k, i, l]
+            for i in range({nm}):
+                for l in range(LANES):
+                    W[({mem} + i) * LANES + l] = restart[k, {nx} + i, l]
+        for j in range({ny} if len(gain) > 0 else 0):
+            for l in range(LANES):
+                error = observed[k, j] - measured[k, j, l]
+                error = error if error == error else 0.0  # what was not observed corrects nothing
+                for i in range({nx}):
+                    W[({x} + i) * LANES + l] += gain[k, i, j] * error
+                for i in range({nm}):
+                    W[({mem} + i) * LANES + l] += gain[k, {nx} + i, j] * error
+        if len(restart) + len(gain) > 0:
+            for l in range(LANES):
+{show}
+            for l in range(LANES if remembering and len(gain) > 0 else 0):
+                W[{h} * LANES + l] = 0.0  # a step of no length: what a corrected output tells the sensors at once
+{correct}
         for s in range(len(step)):
             for i in range({nu}):
                 for l in range(LANES):
@@ -199,6 +226,9 @@ def run(
                 else:
                     for l in range(LANES):
 {nominal}
+                for i in range({np} if len(push) > 0 else 0):
+                    for l in range(LANES):
+                        W[({slope} + i) * LANES + l] += push[k, i, l]
                 for i in range({nx}):
                     for l in range(LANES):
                         rise = W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
@@ -221,9 +251,10 @@ def run(
 
 def kernel_source(title: str, lanes: int, rows: Rows, codes: Mapping[str, Code], sizes: Mapping[str, int]) -> str:
     """The text of a kernel module."""
-    indent = {"once": 8, "control": 16, "drive": 12, "affected": 24, "nominal": 24, "remember": 20}
+    indent = {"once": 8, "control": 16, "drive": 12, "show": 16, "correct": 16, "affected": 24, "nominal": 24, "remember": 20}
     once = [line for code in codes.values() for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
+    blocks["correct"] = blocks["remember"]
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
     return _TEMPLATE.format(title=title, lanes=lanes, **text, **rows.first, **sizes)
 

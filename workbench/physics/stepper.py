@@ -41,12 +41,32 @@ class Lanes:
 
 
 @record
+class Steering:
+    """What besides its equation may move a run, by sample, for the full state of n = nx states, angles and sensor memories.
+
+    observed (N, ny) and gain (N, n, ny): after every sample the full state is corrected by gain (observed - predicted), for all
+    runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every sample starts from the state given here instead of
+    the one arrived at. push (N, nx, R): is added to the states' rates of change, constant over each sample. None is none of it.
+    """
+
+    observed: np.ndarray | None = None
+    gain: np.ndarray | None = None
+    restart: np.ndarray | None = None
+    push: np.ndarray | None = None
+
+
+@record
 class Trajectories:
-    """states (R, N, nx), measured outputs (R, N, ny) and commands (R, N, nu) at the sampling instants."""
+    """states (R, N, nx), measured outputs (R, N, ny) and commands (R, N, nu) at the sampling instants.
+
+    Of a steered run besides: full (R, N, n), the states, angles and sensor memories as they arrived at each sample, before they
+    were corrected or replaced.
+    """
 
     states: np.ndarray
     measured: np.ndarray
     commands: np.ndarray
+    full: np.ndarray | None = None
 
 
 @lru_cache(maxsize=64)
@@ -69,13 +89,16 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "drive": (["u", "eta", "t"], ["v"]),
         "affected": (["stage", "w", "p", "eta", "stage.angle", "t"], ["slope"]),
         "nominal": (["stage", "w", "p", "stage.angle", "t"], ["slope"]),
+        "show": (["x", "p"], ["before"]),
         "remember": (["mem", "before", "x", "h", "p", "eta"], ["mem", "after"]),
     }
     codes: dict[str, Code] = {
         name: print_function(functions[name], rows, arguments, results, constant={"p", "eta", "g"})
         for name, (arguments, results) in wiring.items()
     }
-    numbers = {"nx": nx + na, "ny": ny, "nu": nu, "nr": len(controller.references), "deep": each}
+    numbers = {
+        "nx": nx + na, "ny": ny, "nu": nu, "nr": len(controller.references), "deep": each, "nm": len(plant.memories), "np": nx,
+    }  # fmt: skip
     title = f"{plant.name} under {type(controller).__name__}"
     return load_kernel(kernel_source(title, lanes, rows, codes, numbers)), rows
 
@@ -107,6 +130,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         "drive": ca.Function("drive", [s["u"], s["eta"], s["t"]], [column(acting)]),
         "affected": ca.Function("affected", list(s.values()), [slope["affected"]]),
         "nominal": ca.Function("nominal", [s[name] for name in ("x", "u", "p", "angle", "t")], [slope["nominal"]]),
+        "show": ca.Function("show", [full, s["p"]], [column(after)]),
         "remember": ca.Function("remember", [mem, before, full, h, s["p"], s["eta"]], [column(memory), column(after)]),
     }
 
@@ -116,7 +140,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run(plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threads: int = 1) -> Trajectories:
+def run(
+    plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threads: int = 1, steering: Steering | None = None
+) -> Trajectories:
     """Step every lane through all samples with classic Runge-Kutta, `substeps` equal steps a sample.
 
     One run goes through the scalar kernel, more through the SIMD kernel in blocks of 16, `threads` blocks at a time. Both
@@ -136,14 +162,16 @@ def run(plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threa
         np.empty((R, N, len(plant.states))),
         np.empty((R, N, len(plant.outputs))),
         np.empty((R, N, len(plant.inputs))),
+        np.empty((R, N, len(plant.states) + len(plant.turning) + len(plant.memories))) if steering else None,
     )
 
     def block(first: int) -> None:
         pick = np.minimum(np.arange(first, first + width), R - 1)  # the last block repeats the last run
-        results = _block(plant, kernel, rows, lanes, pick, substeps, every)
+        results = _block(plant, kernel, rows, lanes, pick, substeps, every, steering)
         keep = min(width, R - first)
-        for target, source in zip((out.states, out.measured, out.commands), results, strict=True):
-            target[first : first + keep] = np.moveaxis(source[:, : target.shape[2], :keep], 2, 0)
+        for target, source in zip((out.states, out.measured, out.commands, out.full), results, strict=True):
+            if target is not None:
+                target[first : first + keep] = np.moveaxis(source[:, : target.shape[2], :keep], 2, 0)
 
     starts = range(0, R, width)
     if threads > 1 and len(starts) > 1:
@@ -155,8 +183,17 @@ def run(plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threa
     return out
 
 
-def _block(plant: Plant, kernel: ModuleType, rows: Rows, lanes: Lanes, pick: np.ndarray, substeps: int, every: int):
-    """Run one block: (states, measured, commands), each (N, channels, L)."""
+def _block(
+    plant: Plant,
+    kernel: ModuleType,
+    rows: Rows,
+    lanes: Lanes,
+    pick: np.ndarray,
+    substeps: int,
+    every: int,
+    steering: Steering | None,
+) -> tuple[np.ndarray, ...]:
+    """Run one block: (states, measured, commands, full states if steered), each (N, channels, L)."""
     L, N = len(pick), lanes.reference.shape[1]
     W = np.zeros((rows.total, L))
     nx = len(plant.states)
@@ -178,11 +215,18 @@ def _block(plant: Plant, kernel: ModuleType, rows: Rows, lanes: Lanes, pick: np.
     )
     remembering = _any_on(plant, lanes.effects[pick], lambda family: family == "sensor")
     affected = _any_on(plant, lanes.effects[pick], lambda family: family not in ("sensor", "actuator"))
+    by_lane, shared, steer = np.empty((0, 0, 0)), np.empty((0, 0)), steering or Steering()
+    restart, push = (
+        by_lane if given is None else np.ascontiguousarray(given[:, :, pick]) for given in (steer.restart, steer.push)
+    )
+    observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
+    gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
+    remembered = np.empty((N if steering else 0, len(plant.memories), L))
     kernel.run(
         W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
-        affected, remembering,
+        affected, remembering, observed, gain, restart, push, remembered,
     )  # fmt: skip
-    return states, measured, commands
+    return states, measured, commands, np.concatenate([states, remembered], axis=1) if steering else remembered
 
 
 def _any_on(plant: Plant, effects: np.ndarray, wanted: Callable[[str], bool]) -> bool:
