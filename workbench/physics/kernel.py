@@ -203,8 +203,8 @@ def run(
         if len(restart) + len(gain) > 0:
             for l in range(LANES):
 {show}
-            for l in range(LANES if remembering and len(gain) > 0 else 0):
-                W[{h} * LANES + l] = 0.0  # a step of no length: what a corrected output tells the sensors at once
+            for l in range(LANES if remembering else 0):
+                W[{h} * LANES + l] = 0.0  # a step of no length: what a new output tells the sensors at once
 {correct}
         for s in range(len(step)):
             for i in range({nu}):

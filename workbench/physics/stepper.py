@@ -47,19 +47,21 @@ class Steering:
     observed (N, ny) and gain (N, n, ny): after every sample the full state is corrected by gain (observed - predicted), for all
     runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every sample starts from the state given here instead of
     the one arrived at. push (N, nx, R): is added to the states' rates of change, constant over each sample. None is none of it.
+    full: return the full states too.
     """
 
     observed: np.ndarray | None = None
     gain: np.ndarray | None = None
     restart: np.ndarray | None = None
     push: np.ndarray | None = None
+    full: bool = False
 
 
 @record
 class Trajectories:
     """states (R, N, nx), measured outputs (R, N, ny) and commands (R, N, nu) at the sampling instants.
 
-    Of a steered run besides: full (R, N, n), the states, angles and sensor memories as they arrived at each sample, before they
+    Where they were asked for, full (R, N, n): the states, angles and sensor memories as they arrived at each sample, before they
     were corrected or replaced.
     """
 
@@ -162,7 +164,7 @@ def run(
         np.empty((R, N, len(plant.states))),
         np.empty((R, N, len(plant.outputs))),
         np.empty((R, N, len(plant.inputs))),
-        np.empty((R, N, len(plant.states) + len(plant.turning) + len(plant.memories))) if steering else None,
+        np.empty((R, N, len(plant.states) + len(plant.turning) + len(plant.memories))) if steering and steering.full else None,
     )
 
     def block(first: int) -> None:
@@ -221,12 +223,12 @@ def _block(
     )
     observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
     gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
-    remembered = np.empty((N if steering else 0, len(plant.memories), L))
+    remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
     kernel.run(
         W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
         affected, remembering, observed, gain, restart, push, remembered,
     )  # fmt: skip
-    return states, measured, commands, np.concatenate([states, remembered], axis=1) if steering else remembered
+    return states, measured, commands, np.concatenate([states, remembered], axis=1) if steer.full else remembered
 
 
 def _any_on(plant: Plant, effects: np.ndarray, wanted: Callable[[str], bool]) -> bool:

@@ -67,9 +67,11 @@ def test_a_run_restarted_from_its_own_states_is_the_same_run():
     x0, u0 = plant.equilibrium()
     u = u0 + 0.05 * np.random.default_rng(1).standard_normal((N, 2))
     effects = {"coulomb@unwind": {"level": 0.001}, "sensor-lag@theta": {"time": 0.05}, "backlash@r2": {"half_width": 1e-5}}
-    free = run(plant, u, x0, stepper.Steering(), effects=effects)
+    free = run(plant, u, x0, stepper.Steering(full=True), effects=effects)
     assert free.full is not None
-    again = run(plant, u, x0, stepper.Steering(restart=np.ascontiguousarray(free.full.transpose(1, 2, 0))), effects=effects)
+    again = run(
+        plant, u, x0, stepper.Steering(restart=np.ascontiguousarray(free.full.transpose(1, 2, 0)), full=True), effects=effects
+    )
     assert np.array_equal(free.full, again.full)
     assert np.array_equal(free.measured, again.measured)
     elsewhere = free.full.transpose(1, 2, 0).copy()
