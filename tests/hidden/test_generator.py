@@ -1,0 +1,5 @@
+from tests.hidden import parts
+
+
+def test_a():
+    assert parts.SENSOR_MEMORY
