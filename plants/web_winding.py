@@ -18,6 +18,8 @@ from workbench.data import Channel
 from workbench.physics.effects.pulley import Pulley
 from workbench.physics.effects.reel import Reel
 from workbench.physics.effects.shaft import Shaft
+from workbench.physics.effects.span import Span
+from workbench.physics.effects.winding import Winding
 from workbench.physics.plant import Parameter, Plant, Start
 
 
@@ -31,11 +33,12 @@ def equation(x, u, p, at):
     w2 = (-p.B2 * x.w2 + motor * (u.V2 - p.kV * x.w2) - R2 * x.T2 + at.rewind.torque(load=R2 * x.T2)) / J2
     w3 = (p.r3 * (x.T2 - x.T1) + at.pulley.torque(load=p.r3 * (x.T2 + x.T1))) / p.J3
     r1 = -p.s / (2 * np.pi) * x.w1
-    r2 = p.s / (2 * np.pi) * x.w2
-    # strain rates and their derivatives on the pulley's own surface; slip then moves the web by creep (T2 - T1)
+    r2 = at.rewind.thickness(p.s, R2 * x.w2) / (2 * np.pi) * x.w2
+    # stretch rates e1, e2 and their derivatives on the pulley's own surface; slip then moves the web by creep (T2 - T1)
     v3 = p.r3 * x.w3 + at.pulley.creep() * (x.T2 - x.T1)
-    T1 = p.kE * (v3 - R1 * x.w1) + p.D * (p.r3 * w3 - R1 * w1 - (r1 + round1.rate) * x.w1)
-    T2 = p.kE * (R2 * x.w2 - v3) + p.D * (R2 * w2 + (r2 + round2.rate) * x.w2 - p.r3 * w3)
+    e1, e2 = v3 - R1 * x.w1, R2 * x.w2 - v3
+    T1 = p.kE * e1 + at.T1.rate(e1, p.kE, p.T_set) + p.D * (p.r3 * w3 - R1 * w1 - (r1 + round1.rate) * x.w1)
+    T2 = p.kE * e2 + at.T2.rate(e2, p.kE, p.T_set) + p.D * (R2 * w2 + (r2 + round2.rate) * x.w2 - p.r3 * w3)
     # v3' holds creep (T2' - T1'): two linear equations in T1', T2', solved here
     feedback = p.D * at.pulley.creep()
     slip = feedback * (T2 - T1) / (1 + 2 * feedback)
@@ -89,12 +92,15 @@ WEB_WINDING = Plant(
     measure=measure,
     dt=0.040,
     ports=(
-        Shaft("unwind", "w1"),
+        Shaft("unwind", "w1", loaded=True),
         Reel("unwind", "w1"),
-        Shaft("rewind", "w2"),
+        Shaft("rewind", "w2", loaded=True),
         Reel("rewind", "w2"),
-        Shaft("pulley", "w3"),
+        Winding("rewind"),  # only what is wound up takes air in
+        Shaft("pulley", "w3", loaded=True),
         Pulley("pulley"),
+        Span("T1", "T1"),
+        Span("T2", "T2"),
     ),
     start=Start(
         fixed={"w3": 100.0, "T1": "T_set", "T2": "T_set", "r1": "r_full", "r2": "r_core"},

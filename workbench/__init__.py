@@ -34,6 +34,8 @@ from workbench.physics.effects.pulley import Pulley
 from workbench.physics.effects.reel import Reel
 from workbench.physics.effects.robot import Robot
 from workbench.physics.effects.shaft import Shaft, Slide
+from workbench.physics.effects.span import Span
+from workbench.physics.effects.winding import Winding
 from workbench.physics.plant import Parameter, Plant, Start
 from workbench.readers import check_units, read, read_all, write_csv
 from workbench.residuals import residual_test
@@ -43,7 +45,8 @@ __all__ = [
     "ARX", "EFFECTS", "FIR", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "BySchedule", "Channel", "Controller",
     "Dataset", "Experiment", "Gaussian", "InTime", "InclusionAll", "InclusionExact", "InclusionPaper", "InputError",
     "IntervalModel", "IntervalRegression", "LPVModel", "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear",
-    "Plant", "Playback", "Powers", "Pulley", "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Start", "advice",
-    "check_units", "cover", "feedback", "fit", "load_interval_model", "load_model", "noise_ceiling", "read", "read_all",
-    "replay", "residual_test", "rm", "rmse", "score", "segments", "simulate", "simulate_batch", "write_csv",
+    "Plant", "Playback", "Powers", "Pulley", "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start",
+    "Winding", "advice", "check_units", "cover", "feedback", "fit", "load_interval_model", "load_model", "noise_ceiling",
+    "read", "read_all", "replay", "residual_test", "rm", "rmse", "score", "segments", "simulate", "simulate_batch",
+    "write_csv",
 ]  # fmt: skip

@@ -9,10 +9,11 @@ the machine code beside them: same content, no compilation; other content, anoth
 import hashlib
 import importlib.util
 import os
+import re
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -58,6 +59,12 @@ class Rows:
     def take(self, name: str, size: int) -> int:
         self.first[name], self.size[name] = self.total, size
         self.total += size
+        return self.first[name]
+
+    def shared(self, name: str, size: int) -> int:
+        """Rows for passing use: the same ones for everybody who asks for this name, as many as the largest needs."""
+        if self.size.get(name, 0) < size:
+            self.take(name, size)
         return self.first[name]
 
     def __getitem__(self, name: str) -> int:
@@ -142,16 +149,32 @@ from numba import njit
 from workbench.physics import elementary
 
 LANES = {lanes}
+{tables}
+
+@njit("void(f8[::1], b1[::1])", cache=True, nogil=True, error_model="numpy")
+def add_parts(W, on):
+    """What the effects that are on add to the rates."""
+{parts}
+
+
+@njit("void(f8[::1], b1[::1])", cache=True, nogil=True, error_model="numpy")
+def remember(W, on):
+    """What the sensors keep after a step; one without an effect keeps the output itself."""
+    for i in range({ny}):
+        for j in range({deep} if not on[{first_sensor} + i] else 0):
+            for l in range(LANES):
+                W[({mem} + i * {deep} + j) * LANES + l] = W[({after} + i) * LANES + l]
+{sensors}
 
 
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1, b1, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, :, ::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
-    W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, affected, remembering,
+    W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, on, affected, remembering,
     observed, gain, restart, push, remembered
 ):
     """Advance LANES runs through len(reference) samples; see workbench.physics.stepper for the arrays."""
@@ -165,7 +188,9 @@ def run(
             W[{t} * LANES + l] = k * dt
         for i in range({ny}):
             for l in range(LANES):
-                W[({y} + i) * LANES + l] = W[({shown} + i * {deep}) * LANES + l] + noise[k, i, l]
+                W[({error} + i) * LANES + l] = noise[k, i, l]
+        for l in range(LANES):
+{read}
         if k % every == 0:
             for l in range(LANES):
 {control}
@@ -205,7 +230,10 @@ def run(
 {show}
             for l in range(LANES if remembering else 0):
                 W[{h} * LANES + l] = 0.0  # a step of no length: what a new output tells the sensors at once
-{correct}
+                for i in range({ny}):
+                    W[({after} + i) * LANES + l] = W[({before} + i) * LANES + l]
+            if remembering:
+                remember(W, on)
         for s in range(len(step)):
             for i in range({nu}):
                 for l in range(LANES):
@@ -221,11 +249,9 @@ def run(
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
                 if affected:
-                    for l in range(LANES):
-{affected}
-                else:
-                    for l in range(LANES):
-{nominal}
+                    add_parts(W, on)
+                for l in range(LANES):
+{rates}
                 for i in range({np} if len(push) > 0 else 0):
                     for l in range(LANES):
                         W[({slope} + i) * LANES + l] += push[k, i, l]
@@ -242,21 +268,84 @@ def run(
                     W[({x} + i) * LANES + l] = W[({sum} + i) * LANES + l]
             if remembering or s == len(step) - 1:
                 for l in range(LANES):
-{remember}
+{measure}
+                remember(W, on)
                 for i in range({ny}):
                     for l in range(LANES):
                         W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
 '''
 
 
-def kernel_source(title: str, lanes: int, rows: Rows, codes: Mapping[str, Code], sizes: Mapping[str, int]) -> str:
-    """The text of a kernel module."""
-    indent = {"once": 8, "control": 16, "drive": 12, "show": 16, "correct": 16, "affected": 24, "nominal": 24, "remember": 20}
-    once = [line for code in codes.values() for line in code.once]
+@record
+class Switched:
+    """Code that runs only where it is switched on; `after`: names of the parts that must have run before it."""
+
+    name: str
+    code: Code
+    after: frozenset[str]
+
+
+def kernel_source(
+    title: str,
+    lanes: int,
+    rows: Rows,
+    codes: Mapping[str, Code],
+    parts: Sequence[Switched],
+    sensors: Sequence[Switched],
+    sizes: Mapping[str, int],
+) -> str:
+    """The text of a kernel module; entry j of its `on` switches the j-th of parts and sensors together."""
+    indent = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 20, "measure": 20}
+    once = [line for code in (*codes.values(), *(part.code for part in (*parts, *sensors))) for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
-    blocks["correct"] = blocks["remember"]
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
-    return _TEMPLATE.format(title=title, lanes=lanes, **text, **rows.first, **sizes)
+    tables: list[str] = []
+    text["parts"] = _switched(parts, 0, rows, tables)
+    text["sensors"] = _switched(sensors, len(parts), rows, tables)
+    text["tables"] = "\n".join(tables)
+    return _TEMPLATE.format(title=title, lanes=lanes, first_sensor=len(parts), **text, **rows.first, **sizes)
+
+
+_CELL = re.compile(r"W\[(\d+) \* LANES \+ l\]")
+
+
+def _switched(parts: Sequence[Switched], first: int, rows: Rows, tables: list[str]) -> str:
+    """Code of all parts. Those that differ in nothing but their rows share it: their rows are copied to fixed ones and back.
+
+    The same friction at three shafts is compiled once; on fixed rows LLVM sees that no two of them overlap.
+    """
+    depth: dict[str, int] = {}
+    for part in parts:
+        depth[part.name] = 1 + max((depth[name] for name in part.after), default=-1)
+    alike: dict[tuple[int, str], list[tuple[int, list[int]]]] = {}
+    for j, part in enumerate(parts):
+        cells: dict[str, int] = {}
+        body = "\n".join(part.code.body)
+        pattern = _CELL.sub(lambda cell, cells=cells: f"<{cells.setdefault(cell[1], len(cells))}>", body)
+        alike.setdefault((depth[part.name], pattern), []).append((first + j, [int(row) for row in cells]))
+    lines: list[str] = []
+    for (_, pattern), members in sorted(alike.items(), key=lambda item: item[0][0]):
+        width = len(members[0][1])
+        base = rows.shared("fixed", width)
+        table = f"ROWS{len(tables)}"
+        tables.append(f"{table} = np.array({[[switch, *own] for switch, own in members]})  # switch, then rows")
+        lines += [
+            f"    for m in range({len(members)}):",
+            f"        if on[{table}[m, 0]]:",
+            f"            for i in range({width}):",
+            "                for l in range(LANES):",
+            f"                    W[({base} + i) * LANES + l] = W[{table}[m, i + 1] * LANES + l]",
+            "            for l in range(LANES):",
+        ]
+        body = re.sub(r"<(\d+)>", lambda cell, base=base: _cell(base + int(cell[1])), pattern).splitlines()
+        lines += [f"                {line}" for line in body]
+        written = sorted({int(cell[1]) for line in pattern.splitlines() if (cell := re.match(r"<(\d+)> = ", line))})
+        for i in written:
+            lines += [
+                "            for l in range(LANES):",
+                f"                W[{table}[m, {i + 1}] * LANES + l] = {_cell(base + i)}",
+            ]
+    return "\n".join(lines or ["    pass"])
 
 
 @cache

@@ -10,6 +10,7 @@ compiled stepper. `x`, `u`, `p` hold values by name; `at.<place>` offers what th
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -19,8 +20,8 @@ import numpy as np
 from workbench.data import Channel
 from workbench.errors import InputError, check_known
 from workbench.physics.effects import effects_of
-from workbench.physics.effects.actuator import Actuator
-from workbench.physics.effects.effect import Effect, EffectParameter, Named
+from workbench.physics.effects.actuator import Actuator, Driven
+from workbench.physics.effects.effect import FOREVER, Effect, EffectParameter, Named
 from workbench.physics.effects.sensor import Sensor
 from workbench.records import field, record
 
@@ -119,6 +120,8 @@ class Plant:
         for port in self.ports:
             if hasattr(port, "speed"):
                 check_known("state", port.speed, self.state_names, file=self.name)
+            if hasattr(port, "tension"):
+                check_known("state", port.tension, self.state_names, file=self.name)
             if hasattr(port, "arm"):
                 check_known("input", port.arm, self.input_names, file=self.name)
 
@@ -152,23 +155,48 @@ class Plant:
         return {port.place: port.speed for port in self.ports if hasattr(port, "speed")}
 
     @cached_property
+    def swinging(self) -> tuple[str, ...]:
+        """Inputs whose rate of change a port needs; the stepper takes it from one sample to the next."""
+        return tuple(port.arm for port in self.ports if hasattr(port, "arm"))
+
+    @cached_property
     def all_ports(self) -> tuple[Any, ...]:
-        return (*self.ports, *(Actuator(name) for name in self.commanded), *(Sensor(c.name) for c in self.outputs))
+        unit = {c.name: c.unit for c in (*self.inputs, *self.outputs)}
+        drives = (Actuator(name, unit[name]) for name in self.commanded)
+        return (*self.ports, *drives, *(Sensor(name, unit[name]) for name in self.output_names))
+
+    @cached_property
+    def offered(self) -> dict[tuple[str, str], tuple[Effect, ...]]:
+        """(family, place) -> the effects that fit the port there, in the order in which they act."""
+        return {(q.family, q.place): tuple(filter(q.fits, effects_of(q.family))) for q in self.all_ports}
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """Every number of every effect that fits a port, in the order of the effect vector eta."""
         return tuple(
-            Slot(effect, port.place, port.fitted(parameter) if hasattr(port, "fitted") else parameter)
+            Slot(effect, port.place, port.fitted(parameter))
             for port in self.all_ports
-            for effect in effects_of(port.family)
+            for effect in self.offered[port.family, port.place]
             for parameter in effect.parameters
         )
 
     @cached_property
+    def inner(self) -> tuple[tuple[str, str], ...]:
+        """(place, effect id) of every effect with a state of its own; the stepper integrates it, 0 at the start."""
+        return tuple((place, effect.id) for (_, place), own in self.offered.items() for effect in own if effect.state)
+
+    @cached_property
     def memories(self) -> tuple[tuple[str, Effect], ...]:
-        """(output, effect) for every memory slot of the sensors."""
-        return tuple((name, effect) for name in self.output_names for effect in effects_of("sensor"))
+        """(output, effect) for every number that a sensor keeps."""
+        return self._kept("sensor", self.output_names)
+
+    @cached_property
+    def gaps(self) -> tuple[tuple[str, Effect], ...]:
+        """(input, effect) for every number that an actuator keeps."""
+        return self._kept("actuator", self.commanded)
+
+    def _kept(self, family: str, places: Sequence[str]) -> tuple[tuple[str, Effect], ...]:
+        return tuple((name, effect) for name in places for effect in effects_of(family) for _ in range(effect.memories))
 
     # ---- numbers from names --------------------------------------------------------------------------------------
 
@@ -220,18 +248,43 @@ class Plant:
 
     # ---- the equation, on numbers or symbols ------------------------------------------------------------------------
 
-    def derivative(self, x, u, p=None, eta=None, *, t: Any = 0.0, angle: Sequence | None = None) -> list:
-        """dx/dt (nx values) at states x, acting inputs u, parameters p and effects eta; scalars, arrays or symbols."""
+    def derivative(
+        self,
+        x,
+        u,
+        p=None,
+        eta=None,
+        *,
+        t: Any = 0.0,
+        angle: Sequence | None = None,
+        inner: Sequence | None = None,
+        rate: Sequence | None = None,
+    ) -> list:
+        """dx/dt (nx values) at states x, acting inputs u, parameters p and effects eta; scalars, arrays or symbols.
+
+        angle: of every place in `turning`; inner: the effects' own states; rate: of the inputs in `swinging`; default 0.
+        """
+        return self._rates(x, u, p, eta, t, angle, inner, rate)[: len(self.states)]
+
+    def inner_derivative(self, x, u, p, eta, t, angle, inner, rate) -> list:
+        """Rates of change of the effects' own states, in the order of `inner`; arguments as for `derivative`."""
+        return self._rates(x, u, p, eta, t, angle, inner, rate)[len(self.states) :]
+
+    def _rates(self, x, u, p, eta, t, angle, inner, rate, opened: "_Opened | None" = None) -> list:
+        """Rates of change of the states and of the effects' own states; the laws of `opened` stand for themselves."""
+        seen = {
+            "x": dict(zip(self.state_names, x, strict=True)),
+            "u": dict(zip(self.input_names, u, strict=True)),
+            "angle": _by_name(self.turning, angle),
+            "inner": _by_name(self.inner, inner),
+            "inner_rate": dict.fromkeys(self.inner, 0.0),
+            "rate": _by_name(self.swinging, rate),
+            "t": t,
+        }
         p = self.nominal if p is None else p
         eta = self.effect_vector() if eta is None else eta
-        angle = [0.0] * len(self.turning) if angle is None else angle
-        rates = self.equation(
-            Named(state := dict(zip(self.state_names, x, strict=True))),
-            Named(inputs := dict(zip(self.input_names, u, strict=True))),
-            self._parameters(p),
-            self._places({"x": state, "u": inputs, "angle": dict(zip(self.turning, angle, strict=True)), "t": t}, eta),
-        )
-        return self._ordered("derivative of state", rates, self.state_names)
+        rates = self.equation(Named(seen["x"]), Named(seen["u"]), self._parameters(p), self._places(seen, eta, opened))
+        return [*self._ordered("derivative of state", rates, self.state_names), *seen["inner_rate"].values()]
 
     def output(self, x, p=None) -> list:
         """Physical outputs (ny values) before sensors, at states x and parameters p."""
@@ -239,38 +292,74 @@ class Plant:
         y = self.measure(Named(dict(zip(self.state_names, x, strict=True))), self._parameters(p))
         return self._ordered("output", y, self.output_names)
 
-    def drive(self, u, eta, t) -> list:
-        """Acting inputs (nu values) from commands: what the actuator effects make of them, delay apart."""
-        return [
-            Actuator(name).drive(self._effects_at("actuator", name, eta), value, t) if name in self.commanded else value
-            for name, value in zip(self.input_names, u, strict=True)
-        ]
+    def drive(self, u, eta, t, gaps=None) -> list:
+        """Acting inputs (nu values) from commands: what the actuator effects make of them, delay apart.
+
+        gaps: what the actuators keep, before the sample; default: as it is after a long hold of u.
+        """
+        gaps = self.settle_gaps(u, eta) if gaps is None else gaps
+        driven = self._driven(u, eta, t, gaps, self.dt)
+        return [driven[name].acting if name in driven else value for name, value in zip(self.input_names, u, strict=True)]
+
+    def cross_gaps(self, u, eta, t, gaps) -> list:
+        """What the actuators keep, after a sample under the held commands u."""
+        return [m for driven in self._driven(u, eta, t, gaps, self.dt).values() for m in driven.memory]
+
+    def settle_gaps(self, u, eta) -> list:
+        """What the actuators keep after the commands u have been held for ever."""
+        still = self._driven(u, eta, 0.0, [0.0] * len(self.gaps), FOREVER)
+        return [m for driven in still.values() for m in driven.memory]
+
+    def _driven(self, u, eta, t, gaps, dt) -> dict[str, Driven]:
+        given = dict(zip(self.input_names, u, strict=True))
+        return {
+            name: Actuator(name, "").drive(self._effects_at("actuator", name, eta), own, given[name], t, dt)
+            for name, own in zip(self.commanded, shares(gaps, len(self.commanded)), strict=True)
+        }
 
     def remember(self, memory, z0, z1, h, eta) -> list:
         """Sensor memories (nm values) after a step of length h in which the physical outputs went from z0 to z1."""
-        each = len(effects_of("sensor"))
-        after = []
-        for i, name in enumerate(self.output_names):
-            own = memory[i * each : (i + 1) * each]
-            after += Sensor(name).remember(self._effects_at("sensor", name, eta), own, z0[i], z1[i], h)
+        after, own = [], shares(memory, len(self.outputs))
+        for i, (sensor, effects) in enumerate(self._sensors(eta)):
+            after += sensor.remember(effects, own[i], z0[i], z1[i], h)
         return after
+
+    def settle(self, z, eta) -> list:
+        """Sensor memories (nm values) after the physical outputs have stood at z for ever."""
+        return [m for value, (sensor, effects) in zip(z, self._sensors(eta), strict=True) for m in sensor.settle(effects, value)]
+
+    def read(self, memory, noise, eta) -> list:
+        """Logged outputs (ny values) from the sensor memories and the noise of each channel."""
+        own = shares(memory, len(self.outputs))
+        return [sensor.read(effects, own[i], noise[i]) for i, (sensor, effects) in enumerate(self._sensors(eta))]
+
+    def _sensors(self, eta) -> list[tuple[Sensor, list[tuple[Effect, Named]]]]:
+        return [(Sensor(name, ""), self._effects_at("sensor", name, eta)) for name in self.output_names]
 
     def _parameters(self, p) -> Named:
         return Named(dict(zip((q.name for q in self.parameters), p, strict=True)))
 
-    def _effects_at(self, family: str, place: str, eta) -> list[tuple[Effect, Named]]:
-        numbers: dict[str, dict] = {}
-        for slot, value in zip(self.slots, eta, strict=True):
-            if slot.effect.family == family and slot.place == place:
-                numbers.setdefault(slot.effect.id, {})[slot.parameter.name] = value
-        return [(effect, Named(numbers[effect.id])) for effect in effects_of(family)]
+    @cached_property
+    def _numbers_at(self) -> dict[tuple[str, str], list[tuple[Effect, dict[str, int]]]]:
+        """(family, place) -> its effects, each with the indices in eta of its numbers."""
+        index: dict[str, dict[str, int]] = {}
+        for i, slot in enumerate(self.slots):
+            index.setdefault(slot.key, {})[slot.parameter.name] = i
+        return {at: [(effect, index[f"{effect.id}@{at[1]}"]) for effect in own] for at, own in self.offered.items()}
 
-    def _places(self, seen: dict[str, Any], eta) -> Named:
+    def _effects_at(self, family: str, place: str, eta) -> list[tuple[Effect, Named]]:
+        own = self._numbers_at[family, place]
+        return [(effect, Named({name: eta[i] for name, i in numbers.items()})) for effect, numbers in own]
+
+    def _places(self, seen: dict[str, Any], eta, opened: "_Opened | None") -> Named:
         context = Named(seen)
         verbs: dict[str, dict] = {}
         for port in self.ports:
-            own = port.verbs(self._effects_at(port.family, port.place, eta), context)
-            verbs.setdefault(port.place, {}).update(own)
+            effects = self._effects_at(port.family, port.place, eta)
+            if opened:
+                numbers = self._numbers_at[port.family, port.place]
+                effects = [(opened.stand_in(effect, own), e) for (effect, e), (_, own) in zip(effects, numbers, strict=True)]
+            verbs.setdefault(port.place, {}).update(port.verbs(effects, context))
         return Named({place: Named(own) for place, own in verbs.items()})
 
     def _ordered(self, kind: str, values: Mapping[str, Any], names: Sequence[str]) -> list:
@@ -292,28 +381,47 @@ class Plant:
         """CasADi symbols of the equation's arguments."""
         sizes = {
             "x": len(self.states), "u": len(self.inputs), "p": len(self.parameters), "eta": len(self.slots),
-            "angle": len(self.turning), "t": 1,
+            "angle": len(self.turning), "t": 1, "inner": len(self.inner), "rate": len(self.swinging),
         }  # fmt: skip
         return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
     @cached_property
     def traced(self) -> ca.Function:
-        """(x, u, p, eta, angle, t) -> (dx, y) as a CasADi function: the same equation on symbols."""
+        """(x, u, p, eta, angle, t, inner, rate) -> (dx, y) as a CasADi function: the same equation on symbols."""
         s = self.symbols
-        split = {name: entries(symbol) for name, symbol in s.items()}
+        dx, y = self._traced_rates(None)[: len(self.states)], self._traced_output()
+        return ca.Function(self._identifier, list(s.values()), [column(dx), column(y)], list(s), ["dx", "y"])
+
+    @cached_property
+    def parted(self) -> "Parted":
+        """The same equation with the laws of its effects taken out, so that what is off need not be computed."""
+        opened = _Opened(self.symbols)
+        return Parted(column(self._traced_rates(opened)), tuple(opened.parts))
+
+    def _traced_rates(self, opened: "_Opened | None") -> list:
+        s = {name: entries(symbol) for name, symbol in self.symbols.items()}
         try:
             with symbolic_numpy():
-                dx = self.derivative(split["x"], split["u"], split["p"], split["eta"], t=s["t"], angle=split["angle"])
-                y = self.output(split["x"], split["p"])
+                return self._rates(s["x"], s["u"], s["p"], s["eta"], self.symbols["t"], s["angle"], s["inner"], s["rate"], opened)
         except RuntimeError as reason:
-            if "truth value" not in str(reason):
-                raise
-            raise InputError(
-                "the equation has an `if`, `and`, `or`, `min` or `max` on a state, an input or a parameter",
-                file=self.name,
-                mend="write np.minimum, np.maximum or a smooth function such as np.tanh",
-            ) from None
-        return ca.Function(self._identifier, list(s.values()), [column(dx), column(y)], list(s), ["dx", "y"])
+            raise self._branching(reason) from None
+
+    def _traced_output(self) -> list:
+        try:
+            with symbolic_numpy():
+                return self.output(entries(self.symbols["x"]), entries(self.symbols["p"]))
+        except RuntimeError as reason:
+            raise self._branching(reason) from None
+
+    def _branching(self, reason: RuntimeError) -> Exception:
+        """What a trace that failed is to say."""
+        if "truth value" not in str(reason):
+            return reason
+        return InputError(
+            "the equation has an `if`, `and`, `or`, `min` or `max` on a state, an input or a parameter",
+            file=self.name,
+            mend="write np.minimum, np.maximum or a smooth function such as np.tanh",
+        )
 
     @property
     def _identifier(self) -> str:
@@ -321,7 +429,7 @@ class Plant:
 
     @cached_property
     def jacobians(self) -> ca.Function:
-        """(x, u, p, eta, angle, t) -> (A, B, C), the Jacobians d(dx)/dx, d(dx)/du and dy/dx."""
+        """(x, u, p, eta, angle, t, inner, rate) -> (A, B, C), the Jacobians d(dx)/dx, d(dx)/du and dy/dx."""
         s = self.symbols
         dx, y = self.traced(*s.values())
         parts = [ca.jacobian(dx, s["x"]), ca.jacobian(dx, s["u"]), ca.jacobian(y, s["x"])]
@@ -337,15 +445,15 @@ class Plant:
         A, B, C = (J[0] for J in self.jacobians_of(*(np.asarray(v, dtype=float)[None] for v in (x, u, p, eta))))
         return A, B, C, np.zeros((C.shape[0], B.shape[1]))
 
-    def jacobians_of(self, x: np.ndarray, u: np.ndarray, p: np.ndarray, eta: np.ndarray) -> list[np.ndarray]:
-        """A (R, nx, nx), B (R, nx, nu), C (R, ny, nx) at R points; arguments (R, ...)."""
-        return [J.transpose(0, 2, 1) for J in self._evaluated(self.jacobians, x, u, p, eta)]
+    def jacobians_of(self, x: np.ndarray, u: np.ndarray, p: np.ndarray, eta: np.ndarray, *, t: float = 0.0) -> list[np.ndarray]:
+        """A (R, nx, nx), B (R, nx, nu), C (R, ny, nx) at R points and time t [s]; arguments (R, ...)."""
+        return [J.transpose(0, 2, 1) for J in self._evaluated(self.jacobians, x, u, p, eta, t)]
 
-    def _evaluated(self, function: ca.Function, x, u, p, eta) -> list[np.ndarray]:
+    def _evaluated(self, function: ca.Function, x, u, p, eta, t: float = 0.0) -> list[np.ndarray]:
         """Results of a function of the symbols at R points, each (R, columns, rows): one call for all of them."""
         R = len(x)
-        angle, t = np.zeros((len(self.turning), R)), np.zeros((1, R))
-        results = function.map(R)(x.T, u.T, p.T, eta.T, angle, t)
+        angle, inner, rate = (np.zeros((len(names), R)) for names in (self.turning, self.inner, self.swinging))
+        results = function.map(R)(x.T, u.T, p.T, eta.T, angle, np.full((1, R), t), inner, rate)
         return [np.array(J).T.reshape(R, -1, J.shape[0]) for J in results]
 
     def equilibrium(self, p=None, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -392,6 +500,65 @@ class Plant:
         for name in set(fixed) & set(self.start.solve_for):
             z[:, names.index(name)] = fixed[name]
         return z[:, :nx], z[:, nx:]
+
+
+def _by_name(names, values) -> dict:
+    return dict(zip(names, [0.0] * len(names) if values is None else values, strict=True))
+
+
+def shares(values: Sequence, n: int) -> list[Sequence]:
+    """A sequence in n equal shares."""
+    each = len(values) // n
+    return [values[i * each : (i + 1) * each] for i in range(n)]
+
+
+@record
+class Part:
+    """What one law gives: its values (n, 1), the symbols (n, 1) that stand for them, and the indices in eta of its sizes.
+
+    While all its sizes are 0, the values are 0. They may hold the symbols of the earlier parts whose indices are in `after`.
+    """
+
+    sizes: tuple[int, ...]
+    values: ca.SX
+    symbols: ca.SX
+    after: tuple[int, ...]
+
+
+@record
+class Parted:
+    """Rates of change of the states and of the effects' own states (n, 1), in terms of the parts."""
+
+    rates: ca.SX
+    parts: tuple[Part, ...]
+
+
+class _Opened:
+    """Effects whose laws are written down apart while an equation is traced."""
+
+    def __init__(self, symbols: Mapping[str, ca.SX]):
+        self.moving = ca.vertcat(*(symbol for name, symbol in symbols.items() if name not in ("p", "eta")))
+        self.parts: list[Part] = []
+
+    def stand_in(self, effect: Effect, numbers: Mapping[str, int]) -> Effect:
+        """The effect with a law that notes its values and returns symbols."""
+        sizes = tuple(numbers[p.name] for p in effect.sizes)
+
+        def law(*arguments):
+            result = effect.law(*arguments)
+            values = list(result) if isinstance(result, tuple) else [result]
+            # what does not change during a run is computed once and needs no part
+            own = [i for i, value in enumerate(values) if ca.depends_on(ca.SX(value), self.moving)]
+            if own:
+                symbols, taken = ca.SX.sym(f"part{len(self.parts)}", len(own)), column([values[i] for i in own])
+                after = tuple(j for j, part in enumerate(self.parts) if ca.depends_on(taken, part.symbols))
+                self.parts.append(Part(sizes, taken, symbols, after))
+                self.moving = ca.vertcat(self.moving, symbols)
+                for i, symbol in zip(own, entries(symbols), strict=True):
+                    values[i] = symbol
+            return tuple(values) if isinstance(result, tuple) else values[0]
+
+        return replace(effect, law=law)
 
 
 _TRACING = threading.RLock()

@@ -6,7 +6,6 @@ more point for each input, placed where its hold changes, so that every delay is
 """
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from types import ModuleType
@@ -16,8 +15,9 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.physics.controller import Controller
-from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, kernel_source, load_kernel, print_function
-from workbench.physics.plant import Plant, column, entries, symbolic_numpy
+from workbench.physics.effects.effect import FOREVER
+from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, Switched, kernel_source, load_kernel, print_function
+from workbench.physics.plant import Plant, column, entries, shares, symbolic_numpy
 from workbench.records import field, record
 
 
@@ -42,7 +42,8 @@ class Lanes:
 
 @record
 class Steering:
-    """What besides its equation may move a run, by sample, for the full state of n = nx states, angles and sensor memories.
+    """What besides its equation may move a run, by sample, for the full state of n = nx states, angles, effects' own states and
+    sensor memories.
 
     observed (N, ny) and gain (N, n, ny): after every sample the full state is corrected by gain (observed - predicted), for all
     runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every sample starts from the state given here instead of
@@ -76,64 +77,90 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     """The compiled kernel of a plant under a controller's law, and where things stand in its work array."""
     rows, functions = Rows(), _functions(plant, controller)
     nx, na, ny, nu = len(plant.states), len(plant.turning), len(plant.outputs), len(plant.inputs)
+    all_states = nx + na + len(plant.inner)
     sizes = {
-        "x": nx + na, "stage": nx + na, "sum": nx + na, "slope": nx + na, "mem": len(plant.memories), "before": ny,
-        "after": ny, "y": ny, "u": nu, "v": nu, "w": nu, "r": len(controller.references), "c": len(controller.init()),
-        "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1, "h": 1,
+        "x": all_states, "stage": all_states, "sum": all_states, "slope": all_states, "mem": len(plant.memories), "before": ny,
+        "after": ny, "y": ny, "error": ny, "u": nu, "v": nu, "w": nu, "r": len(controller.references),
+        "c": len(controller.init()), "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1,
+        "h": 1, "gaps": len(plant.gaps), "last": len(plant.swinging), "rate": len(plant.swinging),
     }  # fmt: skip
     for name, size in sizes.items():
         rows.take(name, size)
     rows.first["stage.angle"] = rows["stage"] + nx
-    each = len(plant.memories) // ny
-    rows.first["shown"] = rows["mem"] + each - 1  # a sensor shows the output of its last effect
+    rows.first["stage.inner"] = rows["stage"] + nx + na
+    within = ["stage", "w", "p", "eta", "stage.angle", "t", "stage.inner", "rate"]
+    names = [f"part{j}" for j in range(len(plant.parted.parts))]
+    for name, part in zip(names, plant.parted.parts, strict=True):
+        rows.take(name, part.symbols.numel())
+    deep, sensors = len(plant.memories) // ny, [f"sensor{i}" for i in range(ny)]
+    for i, name in enumerate(sensors):
+        rows.first[name] = rows["mem"] + i * deep
     wiring = {
+        "read": (["mem", "error", "eta"], ["y"]),
         "control": (["c", "r", "y", "g", "u"], ["u", "c"]),
-        "drive": (["u", "eta", "t"], ["v"]),
-        "affected": (["stage", "w", "p", "eta", "stage.angle", "t"], ["slope"]),
-        "nominal": (["stage", "w", "p", "stage.angle", "t"], ["slope"]),
+        "drive": (["u", "eta", "t", "gaps", "last"], ["v", "gaps", "last", "rate"]),
         "show": (["x", "p"], ["before"]),
-        "remember": (["mem", "before", "x", "h", "p", "eta"], ["mem", "after"]),
+        "measure": (["x", "p"], ["after"]),
+        "rates": ([*within, *names], ["slope"]),
+        **{name: ([*within, *names[:j]], [name]) for j, name in enumerate(names)},
+        **{name: (["mem", "before", "after", "h", "eta"], [name]) for name in sensors},
     }
     codes: dict[str, Code] = {
         name: print_function(functions[name], rows, arguments, results, constant={"p", "eta", "g"})
         for name, (arguments, results) in wiring.items()
     }
+    used = [frozenset(names[i] for i in part.after) for part in plant.parted.parts]
+    parts = [Switched(name, codes.pop(name), after) for name, after in zip(names, used, strict=True)]
+    memories = [Switched(name, codes.pop(name), frozenset()) for name in sensors]
     numbers = {
-        "nx": nx + na, "ny": ny, "nu": nu, "nr": len(controller.references), "deep": each, "nm": len(plant.memories), "np": nx,
+        "nx": all_states, "ny": ny, "nu": nu, "nr": len(controller.references), "nm": len(plant.memories), "np": nx, "deep": deep,
     }  # fmt: skip
     title = f"{plant.name} under {type(controller).__name__}"
-    return load_kernel(kernel_source(title, lanes, rows, codes, numbers)), rows
+    return load_kernel(kernel_source(title, lanes, rows, codes, parts, memories, numbers)), rows
 
 
 def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
-    """The traced functions of a step. `nominal` is `affected` with neutral effects, which vanish from it: it runs faster."""
+    """The traced functions of a step: one for each part of the equation that an effect adds, and one for the rest."""
     s, nx = plant.symbols, len(plant.states)
     x, u, p, eta = (entries(s[name]) for name in ("x", "u", "p", "eta"))
-    rates = [x[plant.state_names.index(speed)] for speed in plant.turning.values()]
-    neutral = s | {"eta": ca.SX(plant.effect_vector())}
-    slope = {
-        name: ca.vertcat(plant.traced(*arguments.values())[0], *rates)
-        for name, arguments in (("affected", s), ("nominal", neutral))
-    }
+    speeds = [x[plant.state_names.index(speed)] for speed in plant.turning.values()]
+    rates, parts = plant.parted.rates, plant.parted.parts
+    slope = ca.vertcat(rates[:nx], *speeds, rates[nx:])
+    within = [*s.values(), *(part.symbols for part in parts)]
     mem, before = ca.SX.sym("mem", len(plant.memories)), ca.SX.sym("before", len(plant.outputs))
-    full, h = ca.SX.sym("full", nx), ca.SX.sym("h")
+    gaps, last, error = (
+        ca.SX.sym("gaps", len(plant.gaps)), ca.SX.sym("last", len(plant.swinging)), ca.SX.sym("error", len(plant.outputs))
+    )  # fmt: skip
+    full, h, reached = ca.SX.sym("full", nx), ca.SX.sym("h"), ca.SX.sym("reached", len(plant.outputs))
     c, r = ca.SX.sym("c", len(controller.init())), ca.SX.sym("r", len(controller.references))
     y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
     with symbolic_numpy():
         after = plant.output(entries(full), p)
-        memory = plant.remember(entries(mem), entries(before), after, h, eta)
-        acting = plant.drive(u, eta, s["t"])
+        memory = plant.remember(entries(mem), entries(before), entries(reached), h, eta)
+        reading = plant.read(entries(mem), entries(error), eta)
+        acting = plant.drive(u, eta, s["t"], entries(gaps))
+        crossed = plant.cross_gaps(u, eta, s["t"], entries(gaps))
+        swung = [u[plant.input_names.index(name)] for name in plant.swinging]
+        # before the first sample nobody knows how an input moved
+        rate = [(new - old) / plant.dt * (s["t"] > 0.0) for new, old in zip(swung, entries(last), strict=True)]
         at = [entries(y)[plant.output_names.index(name)] for name in controller.measured]
         rho = entries(y)[plant.output_names.index(controller.schedule)] if controller.schedule else None
         command, state = controller.law(entries(g), entries(c), entries(r), at, rho)
     inputs = dict(zip(plant.input_names, u, strict=True)) | dict(zip(controller.actuated, command, strict=True))
     return {
         "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), column(state)]),
-        "drive": ca.Function("drive", [s["u"], s["eta"], s["t"]], [column(acting)]),
-        "affected": ca.Function("affected", list(s.values()), [slope["affected"]]),
-        "nominal": ca.Function("nominal", [s[name] for name in ("x", "u", "p", "angle", "t")], [slope["nominal"]]),
+        "read": ca.Function("read", [mem, error, s["eta"]], [column(reading)]),
+        "drive": ca.Function(
+            "drive", [s["u"], s["eta"], s["t"], gaps, last], [column(acting), column(crossed), column(swung), column(rate)]
+        ),
+        "rates": ca.Function("rates", within, [slope]),
+        **{f"part{j}": ca.Function(f"part{j}", within[: len(s) + j], [part.values]) for j, part in enumerate(parts)},
         "show": ca.Function("show", [full, s["p"]], [column(after)]),
-        "remember": ca.Function("remember", [mem, before, full, h, s["p"], s["eta"]], [column(memory), column(after)]),
+        "measure": ca.Function("measure", [full, s["p"]], [column(after)]),
+        **{
+            f"sensor{i}": ca.Function(f"sensor{i}", [mem, before, reached, h, s["eta"]], [column(own)])
+            for i, own in enumerate(shares(memory, len(plant.outputs)))
+        },
     }
 
 
@@ -164,7 +191,7 @@ def run(
         np.empty((R, N, len(plant.states))),
         np.empty((R, N, len(plant.outputs))),
         np.empty((R, N, len(plant.inputs))),
-        np.empty((R, N, len(plant.states) + len(plant.turning) + len(plant.memories))) if steering and steering.full else None,
+        np.empty((R, N, rows.size["x"] + rows.size["mem"])) if steering and steering.full else None,
     )
 
     def block(first: int) -> None:
@@ -204,19 +231,23 @@ def _block(
         W[rows.span(name)] = source[pick].T
     z = np.array([np.broadcast_to(y, L) for y in plant.output(lanes.start[pick].T, lanes.parameters[pick].T)])
     W[rows.span("before")] = z
-    W[rows.span("mem")] = np.repeat(z, len(plant.memories) // len(z), axis=0)
+    eta = lanes.effects[pick].T
+    W[rows.span("mem")] = plant.settle(z, eta)
     W[rows.span("u")] = lanes.hold[pick].T
+    W[rows.span("gaps")] = np.reshape(plant.settle_gaps(lanes.hold[pick].T, eta), (-1, L))
 
     step, back, first = _grid(plant, lanes.effects[pick], substeps)
     acting = np.empty((first + N, len(plant.inputs), L))
     acting[:first] = lanes.hold[pick].T
-    states = np.empty((N, nx + len(plant.turning), L))
+    states = np.empty((N, rows.size["x"], L))
     measured, commands = np.empty((N, len(z), L)), np.empty((N, len(plant.inputs), L))
     reference, disturbance, noise = (
         np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
     )
-    remembering = _any_on(plant, lanes.effects[pick], lambda family: family == "sensor")
-    affected = _any_on(plant, lanes.effects[pick], lambda family: family not in ("sensor", "actuator"))
+    kept = {effect for _, effect in plant.memories}
+    changed = {q.place for i, q in enumerate(plant.slots) if q.effect in kept and not q.parameter.shape and eta[i].any()}
+    remembering = [name in changed for name in plant.output_names]
+    affected = [bool(np.any(eta[list(part.sizes)])) for part in plant.parted.parts]
     by_lane, shared, steer = np.empty((0, 0, 0)), np.empty((0, 0)), steering or Steering()
     restart, push = (
         by_lane if given is None else np.ascontiguousarray(given[:, :, pick]) for given in (steer.restart, steer.push)
@@ -226,15 +257,9 @@ def _block(
     remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
     kernel.run(
         W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
-        affected, remembering, observed, gain, restart, push, remembered,
+        np.array([*affected, *remembering]), any(affected), any(remembering), observed, gain, restart, push, remembered,
     )  # fmt: skip
     return states, measured, commands, np.concatenate([states, remembered], axis=1) if steer.full else remembered
-
-
-def _any_on(plant: Plant, effects: np.ndarray, wanted: Callable[[str], bool]) -> bool:
-    """Whether any size of an effect of the wanted families differs from 0 in any lane."""
-    sizes = [i for i, slot in enumerate(plant.slots) if wanted(slot.effect.family) and not slot.parameter.shape]
-    return bool(np.any(effects[:, sizes] != 0.0))
 
 
 def _grid(plant: Plant, effects: np.ndarray, substeps: int) -> tuple[np.ndarray, np.ndarray, int]:
@@ -267,8 +292,8 @@ def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, star
     rest = start.copy()
     rest[:, [plant.state_names.index(speed) for speed in plant.turning.values()]] = 0.0
     fastest = 0.0
-    for x in (start, rest):
-        A = plant.jacobians_of(x, hold, parameters, effects)[0]
+    for x, t in ((start, 0.0), (rest, 0.0), (rest, FOREVER)):  # what sets in later counts too
+        A = plant.jacobians_of(x, hold, parameters, effects, t=t)[0]
         fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
     needed = int(np.ceil(plant.dt * fastest))
     if needed > 2000:

@@ -1,10 +1,10 @@
 """The catalogue of missing physics: one file per port family, one registry."""
 
-from workbench.physics.effects import actuator, pulley, reel, robot, sensor, shaft
+from workbench.physics.effects import actuator, pulley, reel, robot, sensor, shaft, span, winding
 from workbench.physics.effects.effect import Effect
 
 EFFECTS: dict[str, Effect] = {
-    effect.id: effect for family in (shaft, reel, pulley, robot, actuator, sensor) for effect in family.EFFECTS
+    effect.id: effect for family in (shaft, reel, pulley, span, winding, robot, actuator, sensor) for effect in family.EFFECTS
 }
 
 

@@ -4,6 +4,7 @@ The same object is truth when a plant switches it on and an explanation when a d
 """
 
 from collections.abc import Callable
+from enum import Enum
 
 import numpy as np
 
@@ -27,9 +28,36 @@ class Named:
         raise UnknownNameError(f"the equation asks for {name!r}", mend=f"here are: {', '.join(self.__dict__) or 'no names'}")
 
 
+class GridUnit(Enum):
+    """What the numbers of a grid are multiplied by before they are tried."""
+
+    ONE = "1: they are in the parameter's own unit"
+    COMMAND = "the largest |logged command| of the actuator"
+    IMPULSE = "the largest |logged command| of the actuator times the sample time"
+    SAMPLE = "the sample time"
+    NOISE = "the standard deviation of the channel's noise"
+    RECORD = "the length of the record"
+
+
+class Domain(Enum):
+    """What an effect is drawn over, so that a reader sees it."""
+
+    SPEED = "what is missing over speed"
+    ANGLE = "what is missing over the angle of what turns"
+    LOAD = "what is missing over the load"
+    TENSION = "what is missing over the tension"
+    COMMAND = "what acts over what was commanded"
+    LEVEL = "what is read over what there is"
+    SHIFT = "measured and simulated over time, one later than the other"
+    TIME = "what is missing over time"
+
+
 @record
 class EffectParameter:
-    """One number of an effect. A size is exactly neutral at 0; a shape (width, time constant) has a default instead."""
+    """One number of an effect. A size is exactly neutral at 0; a shape (width, time constant) has a default instead.
+
+    grid: values of a shape that a search tries before it refines them, in grid_unit.
+    """
 
     name: str
     unit: str
@@ -37,10 +65,14 @@ class EffectParameter:
     high: float = field("", default=np.inf)
     default: float = field("", default=0.0)
     shape: bool = False
+    grid: tuple[float, ...] = ()
+    grid_unit: GridUnit = GridUnit.ONE
 
     def __post_init__(self):
         if not self.shape and self.default != 0.0:
             raise InputError(f"size {self.name!r} must be 0 by default: 0 is neutral")
+        if not self.shape and self.grid:
+            raise InputError(f"size {self.name!r} has a grid: the grid of a size belongs to its effect")
 
 
 @record
@@ -50,7 +82,11 @@ class Effect:
     law: the equation; what it takes and returns is fixed by the family (its file says so).
     sentence: the cause in a technician's words; {place} is filled in.
     separates: what separates it from its look-alikes.
-    regular: the response is smooth in the sizes at 0; otherwise `grid` holds finite sizes to try.
+    domain: what it is drawn over.
+    regular: the response is smooth in the sizes at 0; otherwise `grid` holds finite sizes to try, in grid_unit.
+    phase: the sizes (cosine, sine) hold a phase that differs from record to record; their amplitude does not.
+    state: it has a state of its own, integrated with those of the plant. memories: numbers that it keeps from one step, or of an
+    actuator from one sample, to the next.
     """
 
     id: str
@@ -59,9 +95,57 @@ class Effect:
     sentence: str
     separates: str
     law: Callable
+    domain: Domain
     regular: bool = True
     grid: tuple[float, ...] = ()
+    grid_unit: GridUnit = GridUnit.ONE
+    phase: bool = False
+    state: bool = False
+    memories: int = 0
 
     def __post_init__(self):
         if self.regular == bool(self.grid):
             raise InputError(f"effect {self.id!r}: a grid belongs to an effect that is not regular, and only to one")
+        if not self.regular and len(self.sizes) != 1:
+            raise InputError(f"effect {self.id!r}: a grid is for one size, here are {len(self.sizes)}")
+        if self.phase and [p.name for p in self.sizes] != ["cosine", "sine"]:
+            raise InputError(f"effect {self.id!r}: a phase needs the sizes cosine and sine")
+
+    @property
+    def sizes(self) -> tuple[EffectParameter, ...]:
+        """The parameters that are neutral at 0."""
+        return tuple(p for p in self.parameters if not p.shape)
+
+
+@record
+class Port:
+    """Where effects of one family act; `place` names it in an equation and in effect keys, such as coulomb@unwind."""
+
+    place: str
+    family = ""
+
+    def fits(self, effect: Effect) -> bool:
+        """Whether an effect of the family makes sense at this port."""
+        del effect
+        return True
+
+    def fitted(self, parameter: EffectParameter) -> EffectParameter:
+        """A parameter of an effect as it reads at this port."""
+        return parameter
+
+
+FOREVER = 1e9  # s: after a hold of this length nothing moves any more
+STEP_RISE = 0.05  # s: a jump is 95 % done 0.075 s after its time, and a sampled record cannot tell it from a sudden one
+
+
+def smooth_step(t, time):
+    """0 long before `time`, 1/2 at it, 1 long after it."""
+    return 0.5 * (1.0 + np.tanh((t - time) / STEP_RISE))
+
+
+def jump_time() -> EffectParameter:
+    """The shape of every effect that sets in during a record: when."""
+    return EffectParameter(
+        "time", "s", low=0.0, default=10.0, shape=True,
+        grid=tuple(round(0.05 * k, 2) for k in range(1, 20)), grid_unit=GridUnit.RECORD,
+    )  # fmt: skip

@@ -3,7 +3,7 @@
 law(e) -> creep [m/s per N]: the web runs faster than the pulley surface by creep times the tension difference.
 """
 
-from workbench.physics.effects.effect import Effect, EffectParameter
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Port
 from workbench.records import record
 
 
@@ -18,16 +18,16 @@ SLIP = Effect(
     "The web slips on {place}: it runs ahead of the surface in proportion to the difference of the tensions.",
     "Steps of the tension difference at constant speed: a sensor lag scales with the rate, slip with the difference.",
     _slip,
+    Domain.LOAD,
 )
 
 EFFECTS = (SLIP,)
 
 
 @record
-class Pulley:
+class Pulley(Port):
     """Port for the contact between a web and a pulley."""
 
-    place: str
     family = "pulley"
 
     def verbs(self, effects, context) -> dict:

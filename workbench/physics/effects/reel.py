@@ -5,7 +5,7 @@ law(e, reel) -> (deviation [m], its rate of change [m/s]); `reel` has .angle [ra
 
 import numpy as np
 
-from workbench.physics.effects.effect import Effect, EffectParameter, Named
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port
 from workbench.records import record
 
 
@@ -21,16 +21,17 @@ ECCENTRICITY = Effect(
     "The reel at {place} runs out of round: its radius changes once per turn.",
     "Two speeds: the disturbance of an eccentric reel grows with speed, that of an imbalance does not.",
     _eccentricity,
+    Domain.ANGLE,
+    phase=True,
 )
 
 EFFECTS = (ECCENTRICITY,)
 
 
 @record
-class Reel:
+class Reel(Port):
     """Port for the radius of a reel that turns with the state `speed`."""
 
-    place: str
     speed: str
     family = "reel"
 

@@ -1,7 +1,7 @@
 """Effects on a robot whose arm rides on a driven platform: a force on the platform [N], and how much its mass changes.
 
 law(e, robot) -> (force [N], positive in the direction of positive speed; relative change of the platform's mass).
-`robot` has .arm [rad], the angle of the arm, and .t [s].
+`robot` has .arm [rad], the angle of the arm, .arm_rate [rad/s], by how much it moved in the last sample, and .t [s].
 
 A platform of changing mass m obeys m v' = F, not (m v)' = F: what comes aboard or leaves moves at the platform's own speed at
 that moment (electrode systems are hung on and taken off, wire is fed from a drum that rides along), so it carries its momentum
@@ -10,7 +10,7 @@ with it and pushes nothing.
 
 import numpy as np
 
-from workbench.physics.effects.effect import Effect, EffectParameter, Named
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port
 from workbench.records import record
 
 
@@ -18,8 +18,17 @@ def _arm_gravity(e, robot):
     return -(e.sine * np.sin(robot.arm) + e.cosine * np.cos(robot.arm)), 0.0
 
 
+def _rail_tilt(e, robot):
+    del robot
+    return -e.level, 0.0
+
+
 def _platform_mass(e, robot):
     return 0.0, e.change + e.swing * np.sin(2 * np.pi * robot.t / e.period)
+
+
+def _arm_reaction(e, robot):
+    return -e.coefficient * robot.arm_rate, 0.0
 
 
 ARM_GRAVITY = Effect(
@@ -29,6 +38,16 @@ ARM_GRAVITY = Effect(
     "The arm pulls {place} out of balance: its weight pushes the platform, with a force that changes with the arm's angle.",
     "Move the arm with the platform held: a tilt or a cable pulls with the same force at every arm angle, friction with none.",
     _arm_gravity,
+    Domain.ANGLE,
+)
+RAIL_TILT = Effect(
+    "rail-tilt",
+    "robot",
+    (EffectParameter("level", "N"),),
+    "The platform on {place} is pulled one way: the rail is tilted or a cable pulls, with the same force everywhere.",
+    "Motion both ways and a stop: dry friction changes its sign with the motion; an offset of the drive looks the same.",
+    _rail_tilt,
+    Domain.SPEED,
 )
 PLATFORM_MASS = Effect(
     "platform-mass",
@@ -37,32 +56,42 @@ PLATFORM_MASS = Effect(
         # the lowest change and the widest swing together leave 5 % of the platform: its mass never reaches 0
         EffectParameter("change", "1", low=-0.5),
         EffectParameter("swing", "1", low=-0.45, high=0.45),
-        EffectParameter("period", "s", low=0.1, default=10.0, shape=True),
+        EffectParameter("period", "s", low=0.1, default=10.0, shape=True, grid=(1.0, 2.0, 5.0, 10.0, 20.0)),
     ),
     "The platform on {place} is heavier or lighter than thought, or becomes so while it runs: electrode systems come and go.",
     "Runs with and without load, compared: a constant change alone looks like a wrong mass in the data sheet.",
     _platform_mass,
+    Domain.TIME,
+)
+ARM_REACTION = Effect(
+    "arm-reaction",
+    "robot",
+    (EffectParameter("coefficient", "N s/rad"),),
+    "The moving arm pushes back on {place}: a force in proportion to how fast the arm swings.",
+    "Swing the arm slowly and fast through the same angles: its weight pulls with the angle alone, however fast it swings.",
+    _arm_reaction,
+    Domain.SPEED,
 )
 
-EFFECTS = (ARM_GRAVITY, PLATFORM_MASS)
+EFFECTS = (ARM_GRAVITY, RAIL_TILT, PLATFORM_MASS, ARM_REACTION)
 
 
 @record
-class Robot:
+class Robot(Port):
     """Port for a platform whose arm stands at the angle `arm`, an input of the plant."""
 
-    place: str
     arm: str
     family = "robot"
 
     def verbs(self, effects, context) -> dict:
         """force(): all effects' forces on the platform [N]; mass(m): the platform's mass m as they change it [kg]."""
-        robot = Named({"arm": context.u[self.arm], "t": context.t})
+        robot = Named({"arm": context.u[self.arm], "arm_rate": context.rate[self.arm], "t": context.t})
+        given = [effect.law(e, robot) for effect, e in effects]
 
         def force():
-            return sum((effect.law(e, robot)[0] for effect, e in effects), start=0.0)
+            return sum((push for push, _ in given), start=0.0)
 
         def mass(m):
-            return m * (1.0 + sum((effect.law(e, robot)[1] for effect, e in effects), start=0.0))
+            return m * (1.0 + sum((change for _, change in given), start=0.0))
 
         return {"force": force, "mass": mass}

@@ -1,38 +1,77 @@
-"""Effects between a physical quantity and its logged value.
+"""Effects between a physical quantity and its logged value, in the order in which they act.
 
-An effect with memory keeps one number m per sensor:  m+ = law(e, m, z0, z1, h)  and its output is m, where z0, z1 are its
-input at the two ends of an integrator step of length h [s]. Both are exact for an input that is linear within the step.
+Those with memory come first. They keep their output m and what else they need from step to step:
+m+ = law(e, m, z0, z1, h), where z0, z1 are the input at the two ends of an integrator step of length h [s]; lag and resonance
+are exact for an input that is linear within the step. Then follow static maps of the reading, law(e, z) -> reading; the noise
+of the record is added before the last of them, the converter, so that a quantised record holds whole steps.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
-from workbench.physics.effects.effect import Effect, EffectParameter
+from workbench.physics.effects.effect import FOREVER, Domain, Effect, EffectParameter, GridUnit, Port
 from workbench.records import record
-
-
-def _lag(e, m, z0, z1, h):
-    # time z' = input - z, solved exactly for a linear input; at time 0 the exponential is 0 and the output is z1
-    ratio = h / np.maximum(e.time, 1e-12)
-    fade = np.exp(-np.minimum(ratio, 700.0)) * (e.time > 0.0)
-    slope = (z1 - z0) * (e.time / np.maximum(h, 1e-12)) * (1.0 - fade) * (e.time > 0.0)
-    return z1 + (m - z0) * fade - slope
 
 
 def _backlash(e, m, z0, z1, h):
     del z0, h
-    return np.maximum(z1 - e.half_width, np.minimum(z1 + e.half_width, m))
+    return [np.maximum(z1 - e.half_width, np.minimum(z1 + e.half_width, m[0]))]
 
 
-SENSOR_LAG = Effect(
-    "sensor-lag",
-    "sensor",
-    (EffectParameter("time", "s", low=0.0),),
-    "The sensor of {place} is slow: it follows the quantity with a first-order lag.",
-    "Only this channel is late, and in proportion to its rate of change; backlash does not scale with the rate.",
-    _lag,
-    regular=False,
-    grid=(0.25, 0.5, 1.0, 2.0),  # sample times
-)
+def _line(on, z0, z1, h):
+    """Slope and end of the line from z0 to z1; a jump in no time has not yet been felt, unless the effect is off."""
+    slope = (z1 - z0) * h / (h * h + 1e-24)
+    return slope, z1 - on * (z1 - z0 - slope * h)
+
+
+def _fade(exponent, on):
+    return np.exp(-np.minimum(exponent, 700.0)) * on
+
+
+def _lag(e, m, z0, z1, h):
+    # time y' = z - y: the line it will follow, and the distance from it that fades; at time 0 the output is z1
+    on = e.time > 0.0
+    slope, end = _line(on, z0, z1, h)
+    behind = e.time * slope
+    fade = _fade(h / np.maximum(e.time, 1e-12), on)
+    return [end - behind + (m[0] - z0 + behind) * fade]
+
+
+def _resonance(e, m, z0, z1, h):
+    # time^2 y'' + 2 damping time y' + y = z, with the memories y and time y'; at time 0 the output is z1
+    on = e.time > 0.0
+    slope, end = _line(on, z0, z1, h)
+    turned = np.minimum(h / np.maximum(e.time, 1e-12), 1e4)  # later it has faded, and the angle would lose its digits
+    fade = _fade(e.damping * turned, on)
+    root = np.sqrt(1.0 - e.damping**2)
+    cos, sin = np.cos(root * turned), np.sin(root * turned)
+    behind = 2.0 * e.damping * e.time * slope
+    off, speed = m[0] - z0 + behind, m[1] - e.time * slope
+    return [
+        end - behind + fade * (off * cos + (speed + e.damping * off) / root * sin),
+        e.time * slope + fade * (speed * cos - (off + e.damping * speed) / root * sin),
+    ]
+
+
+def _nonlinearity(e, z):
+    return z + e.curvature * (z - e.centre) ** 2
+
+
+def _gain(e, z):
+    return z * (1.0 + e.error)
+
+
+def _bias(e, z):
+    return z + e.level
+
+
+def _quantisation(e, z):
+    on = e.step > 0.0
+    step = e.step + 1.0 - on  # any step will do where there is none
+    return on * (step * np.floor(z / step + 0.5)) + (1.0 - on) * z
+
+
 BACKLASH = Effect(
     "backlash",
     "sensor",
@@ -40,25 +79,120 @@ BACKLASH = Effect(
     "Play in the linkage of the sensor of {place}: after a reversal it stands still until the play is taken up.",
     "A triangle at two rates: a lag grows with the rate, play does not.",
     _backlash,
+    Domain.LEVEL,
     regular=False,
-    grid=(1.0, 3.0, 10.0),  # standard deviations of the channel's noise
+    grid=(1.0, 3.0, 10.0),
+    grid_unit=GridUnit.NOISE,
+    memories=1,
+)
+SENSOR_LAG = Effect(
+    "sensor-lag",
+    "sensor",
+    (EffectParameter("time", "s", low=0.0),),
+    "The sensor of {place} is slow: it follows the quantity with a first-order lag.",
+    "Only this channel is late, and in proportion to its rate of change; backlash does not scale with the rate.",
+    _lag,
+    Domain.SHIFT,
+    regular=False,
+    grid=(0.25, 0.5, 1.0, 2.0),
+    grid_unit=GridUnit.SAMPLE,
+    memories=1,
+)
+SENSOR_RESONANCE = Effect(
+    "sensor-resonance",
+    "sensor",
+    (
+        EffectParameter("time", "s", low=0.0),
+        EffectParameter("damping", "1", low=0.02, high=0.95, default=0.3, shape=True, grid=(0.05, 0.1, 0.3, 0.7)),
+    ),
+    "The sensor of {place} swings: it overshoots and rings at a frequency of its own, 1/time in rad/s.",
+    "Excitation near that frequency: a lag only falls off there, a resonance rises first.",
+    _resonance,
+    Domain.SHIFT,
+    regular=False,
+    grid=(0.25, 0.5, 1.0, 2.0),
+    grid_unit=GridUnit.SAMPLE,
+    memories=2,
+)
+SENSOR_NONLINEARITY = Effect(
+    "sensor-nonlinearity",
+    "sensor",
+    (
+        EffectParameter("curvature", "1/(unit of the output)"),
+        # only moves gain and bias, which have effects of their own: a search leaves it alone
+        EffectParameter("centre", "unit of the output", shape=True),
+    ),
+    "The characteristic of the sensor of {place} is bent: its gain is not the same at every level.",
+    "A series of known loads at rest: a web that stiffens with tension changes the oscillation, not the reading at rest.",
+    _nonlinearity,
+    Domain.LEVEL,
+)
+SENSOR_GAIN = Effect(
+    "sensor-gain",
+    "sensor",
+    (EffectParameter("error", "1", low=-0.9, high=10.0),),
+    "The sensor of {place} is wrongly scaled: its reading is off by the same share at every level.",
+    "A known quantity from outside (a weight, a tape measure, a hand tachometer): parameters of the machine can absorb a gain.",
+    _gain,
+    Domain.LEVEL,
+)
+SENSOR_BIAS = Effect(
+    "sensor-bias",
+    "sensor",
+    (EffectParameter("level", "unit of the output"),),
+    "The sensor of {place} has a wrong zero: its reading is off by the same amount at every level.",
+    "The reading with no load or at a stop: an offset of an amplifier moves the machine, a bias only the reading.",
+    _bias,
+    Domain.LEVEL,
+)
+QUANTISATION = Effect(
+    "quantisation",
+    "sensor",
+    (EffectParameter("step", "unit of the output", low=0.0),),
+    "The converter or encoder of {place} is coarse: its reading moves in steps.",
+    "The list of values that occur: noise takes any value, a converter only whole steps.",
+    _quantisation,
+    Domain.LEVEL,
+    regular=False,
+    grid=(1.0, 3.0, 10.0),
+    grid_unit=GridUnit.NOISE,
 )
 
-EFFECTS = (SENSOR_LAG, BACKLASH)
+EFFECTS = (BACKLASH, SENSOR_LAG, SENSOR_RESONANCE, SENSOR_NONLINEARITY, SENSOR_GAIN, SENSOR_BIAS, QUANTISATION)
 
 
 @record
-class Sensor:
-    """Port for an output; every output of a plant has one, its place is the channel's name. One memory per effect."""
+class Sensor(Port):
+    """Port for an output; every output of a plant has one, its place is the channel's name."""
 
-    place: str
+    unit: str
     family = "sensor"
 
+    def fitted(self, parameter: EffectParameter) -> EffectParameter:
+        """The parameter in the output's own unit."""
+        return replace(parameter, unit=parameter.unit.replace("unit of the output", self.unit))
+
     def remember(self, effects, memory, z0, z1, h) -> list:
-        """The memories after a step: each effect's input is the output of the one before it."""
+        """The memories after a step in which the quantity went from z0 to z1; each effect follows the one before it."""
         after = []
-        for (effect, e), m in zip(effects, memory, strict=True):
-            new = effect.law(e, m, z0, z1, h)
-            after.append(new)
-            z0, z1 = m, new
+        for effect, e in effects:
+            if effect.memories:
+                m = memory[len(after) : len(after) + effect.memories]
+                new = effect.law(e, m, z0, z1, h)
+                after += new
+                z0, z1 = m[0], new[0]
         return after
+
+    def settle(self, effects, z) -> list:
+        """The memories after the quantity has stood at z for ever."""
+        kept = sum(effect.memories for effect, _ in effects)
+        return self.remember(effects, [z] * kept, z, z, FOREVER)
+
+    def read(self, effects, memory, noise):
+        """The logged value: what the last effect with memory shows, through the static maps and with its noise."""
+        moving = [effect for effect, _ in effects if effect.memories]
+        z = memory[len(memory) - moving[-1].memories]
+        *maps, (converter, e) = [(effect, e) for effect, e in effects if not effect.memories]
+        for effect, sizes in maps:
+            z = effect.law(sizes, z)
+        return converter.law(e, z + noise)
