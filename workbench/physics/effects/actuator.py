@@ -84,7 +84,7 @@ HEATING = Effect(
     (
         EffectParameter("fall", "1", low=0.0, high=0.9),
         EffectParameter(
-            "time", "s", low=0.1, high=1e5, default=30.0, shape=True, grid=(0.1, 0.3, 1.0, 3.0), grid_unit=GridUnit.RECORD
+            "time", "s", low=1e-3, high=1e5, default=30.0, shape=True, grid=(0.1, 0.3, 1.0, 3.0), grid_unit=GridUnit.RECORD
         ),
     ),
     "The drive of {place} weakens as it warms up: the same command gives less and less, down to a lasting share.",
