@@ -20,6 +20,8 @@ from tests.hidden.parts import (
     Drive,
     Sensor,
     Shaft,
+    advance,
+    ahead,
     amplified,
     bristle_step,
     coloured,
@@ -77,6 +79,7 @@ def run(m, shaft, drive, sensor, foreign, loop, course, forces, draws):
     N, h = len(course), DT / FINE
     commands, measured = np.empty(N), np.empty(N)
     x, k1, k2, k3, k4 = np.zeros(2), np.empty(2), np.empty(2), np.empty(2), np.empty(2)
+    mid = np.empty(len(x))
     x[0] = seen = before = course[0]
     fifo, count, bristle, gap, z, speed = np.zeros(int(LONGEST_DELAY / h) + 2), 0, 0.0, 0.0, 0.0, 0.0
     memory = np.empty(SENSOR_MEMORY)
@@ -87,8 +90,9 @@ def run(m, shaft, drive, sensor, foreign, loop, course, forces, draws):
             before = y
         speed = loop.fade * speed + (1.0 - loop.fade) * (y - before) / DT
         before = y
-        last, after = course[max(k - 1, 0)], course[min(k + 1, N - 1)]
-        wanted, push = (after - last) / (2.0 * DT), (after - 2.0 * course[k] + last) / DT**2
+        inner = min(max(k, 1), N - 2)  # a course that ends on the move is not braked in its last sample
+        last, now, after = course[inner - 1], course[inner], course[inner + 1]
+        wanted, push = (after - last) / (2.0 * DT), (after - 2.0 * now + last) / DT**2
         u = commands[k] = loop.kp * (course[k] - y) + loop.kd * (wanted - speed) + loop.feed * push + z
         z += loop.ki * DT * (course[k] - y)
         for j in range(FINE):
@@ -98,10 +102,10 @@ def run(m, shaft, drive, sensor, foreign, loop, course, forces, draws):
             count += 1
             force += forces[k]
             _rates(x, k1, m, shaft, foreign, bristle, force, t)
-            _rates(x + 0.5 * h * k1, k2, m, shaft, foreign, bristle, force, t + 0.5 * h)
-            _rates(x + 0.5 * h * k2, k3, m, shaft, foreign, bristle, force, t + 0.5 * h)
-            _rates(x + h * k3, k4, m, shaft, foreign, bristle, force, t + h)
-            x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            _rates(ahead(x, k1, 0.5 * h, mid), k2, m, shaft, foreign, bristle, force, t + 0.5 * h)
+            _rates(ahead(x, k2, 0.5 * h, mid), k3, m, shaft, foreign, bristle, force, t + 0.5 * h)
+            _rates(ahead(x, k3, h, mid), k4, m, shaft, foreign, bristle, force, t + h)
+            advance(x, k1, k2, k3, k4, h)
             bristle = bristle_step(shaft, bristle, x[1], 0.0, t + h, h)
             seen = sense_step(sensor, memory, x[0], h)
         if not np.isfinite(x[0]) or abs(x[0]) > 1e3:
@@ -199,12 +203,12 @@ def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], 
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
     course = np.ascontiguousarray(programme.signals[:, 0])
-    forces = FORCE_NOISE * coloured(draws, (SAMPLES, 1), setting.pole, setting.share)[:, 0]
+    forces = FORCE_NOISE * coloured(draws, (len(course), 1), setting.pole, setting.share)[:, 0]
     sensor = Sensor(READING, setting.resolution)._replace(**fields_of(Sensor, hidden, "q", phases))
     shaft = Shaft(breakaway=2e-5)._replace(**fields_of(Shaft, hidden, "slide", phases))
     commands, measured = run(
         setting.machine, shaft, Drive(**fields_of(Drive, hidden, "F", phases)), sensor,
-        Foreign(**foreign_fields(Foreign, hidden)), setting.loop, course, forces, draws.standard_normal(SAMPLES),
+        Foreign(**foreign_fields(Foreign, hidden)), setting.loop, course, forces, draws.standard_normal(len(course)),
     )  # fmt: skip
     fault = "the axis ran away" * (not np.abs(measured).max() < 2.0 * HALF)
     values = {"F": commands, "q": measured, "q_set": course}

@@ -12,6 +12,7 @@ another loop and with a smaller size, and `notes` says so.
 
 from collections.abc import Mapping
 from enum import Enum
+from functools import cached_property
 from types import ModuleType
 
 import numpy as np
@@ -65,12 +66,8 @@ def draw(seed: int, *, machine: str | None = None, kind: Kind | None = None, lim
     for an unknown machine or effect, a limit that is not positive, and where no (for a pair: only one) effect is left.
     """
     _check_limits(limits)
-    random = np.random.default_rng([seed, 1])
-    names, kinds = list(MIX), list(SHARES)
-    drawn_machine = names[random.choice(len(names), p=list(MIX.values()))]
-    drawn_kind = kinds[random.choice(len(kinds), p=list(SHARES.values()))]
-    module = MACHINES[check_known("machine", machine or drawn_machine, MACHINES)]
-    kind = kind or drawn_kind
+    lot = lot_of(seed)
+    module, kind = MACHINES[check_known("machine", machine or lot.machine, MACHINES)], kind or lot.kind
     bench = _Bench(module, seed)
     truth = _truth(bench, kind, limits, np.random.default_rng([seed, 2]))
     notes, outcomes = [], bench.run(truth)
@@ -86,11 +83,30 @@ def draw(seed: int, *, machine: str | None = None, kind: Kind | None = None, lim
             notes.append(f"{fault}: another loop")
         outcomes = bench.run(truth)
     else:
-        raise InputError(f"seed {seed}: no sound runs in {TRIES} tries ({notes[-1]})", mend="give smaller detection limits")
+        found = ", ".join(f"{h.key} {h.size:.3g}" for h in truth)
+        raise InputError(
+            f"seed {seed}: no sound runs in {TRIES} tries ({found}: {notes[-1]})", mend="give smaller detection limits"
+        )
     records = tuple(o.experiment for o, p in zip(outcomes, bench.programmes, strict=True) if not p.held_out)
     held_out = tuple(o.experiment for o, p in zip(outcomes, bench.programmes, strict=True) if p.held_out)
     parameters = bench.setting.machine._asdict()
     return Case(seed, module.NAME, kind, Dataset(records), Dataset(held_out), truth, parameters, tuple(notes))
+
+
+@record
+class Lot:
+    """What a seed draws first."""
+
+    machine: str
+    kind: Kind
+
+
+def lot_of(seed: int) -> Lot:
+    """Machine and kind of a seed's case, in the proportions of MIX and SHARES."""
+    random = np.random.default_rng([seed, 1])
+    machines, kinds = list(MIX), list(SHARES)
+    machine = machines[random.choice(len(machines), p=list(MIX.values()))]
+    return Lot(machine, kinds[random.choice(len(kinds), p=list(SHARES.values()))])
 
 
 class _Bench:
@@ -102,15 +118,18 @@ class _Bench:
         self.setting = module.setting(random, random.random() < MINIMAL)
         self.programmes: tuple[Programme, ...] = module.programmes(self.setting, random)
 
-    def run(self, truth: tuple[Hidden, ...]) -> list[Outcome]:
-        """All records; each has its own seed, the same whatever is hidden."""
+    def run(self, truth: tuple[Hidden, ...], held_out: bool = True) -> list[Outcome]:
+        """The records, or those for estimation only; each has its own seed, the same whatever is hidden."""
         return [
             self.module.outcome(self.setting, programme, truth, np.random.SeedSequence([self.seed, 4, k]))
             for k, programme in enumerate(self.programmes)
+            if held_out or not programme.held_out
         ]
 
-    def learned(self, truth: tuple[Hidden, ...]) -> list[Experiment]:
-        return [o.experiment for o, p in zip(self.run(truth), self.programmes, strict=True) if not p.held_out]
+    @cached_property
+    def quiet(self) -> list[Experiment]:
+        """The estimation records in which nothing is hidden."""
+        return [o.experiment for o in self.run((), held_out=False)]
 
     def other_loop(self, attempt: int) -> None:
         self.setting = self.module.with_loop(self.setting, np.random.default_rng([self.seed, 5, attempt]))
@@ -163,7 +182,7 @@ def _cap(bench: _Bench, key: str) -> float:
 
 def _largest(bench: _Bench, place: str) -> float:
     """The largest command of the runs in which nothing is hidden."""
-    return max(float(np.abs(e[place]).max()) for e in bench.learned(()))
+    return max(float(np.abs(e[place]).max()) for e in bench.quiet)
 
 
 def _sized(bench: _Bench, key: str, limit: float, random: np.random.Generator) -> Hidden:
@@ -182,9 +201,9 @@ def _foreign(bench: _Bench, random: np.random.Generator) -> Hidden:
     names = bench.module.FOREIGN
     effect = names[random.integers(len(names))]
     trial = bench.module.TRIAL[effect]
-    without, with_it = (bench.learned(t) for t in ((), (Hidden(effect, "outside", {"size": trial}, 0.0, False),)))
+    tried = [o.experiment for o in bench.run((Hidden(effect, "outside", {"size": trial}, 0.0, False),), held_out=False)]
     moved = 0.0
-    for a, b in zip(without, with_it, strict=True):
+    for a, b in zip(bench.quiet, tried, strict=True):
         for name, deviation in bench.module.DEVIATIONS.items():
             if name in a.names:
                 moved += float(np.sum(((a[name] - b[name]) / deviation) ** 2))

@@ -69,6 +69,21 @@ LONGEST_DELAY = 0.25  # s, what the buffers hold
 
 
 @njit(cache=True)
+def ahead(x, rate, h, out):
+    """out = x + h rate, without a new array: the runs are long."""
+    for i in range(len(x)):
+        out[i] = x[i] + h * rate[i]
+    return out
+
+
+@njit(cache=True)
+def advance(x, k1, k2, k3, k4, h):
+    """x += h (k1 + 2 k2 + 2 k3 + k4)/6 in place: the end of a Runge-Kutta step."""
+    for i in range(len(x)):
+        x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+
+
+@njit(cache=True)
 def dry_level(shaft, w, load, t):
     """g(w): the dry friction of steady motion at speed w [N m], not below 0."""
     level = shaft.coulomb + shaft.load_friction * abs(load)
@@ -104,7 +119,8 @@ def shaft_torque(shaft, a, w, angle, load, inertia, t):
     rest = level_at_rest(shaft, load, t)
     if rest > 0.0:
         share = max(dry_level(shaft, w, load, t) / rest, 1e-6)
-        sliding = w * (1.0 - a * np.sign(w) / share)
+        # held within a step: a bristle that a sudden fall of g(w) leaves far out must not tear at the shaft
+        sliding = w * min(max(1.0 - a * np.sign(w) / share, 0.0), 2.0)
         # damped like a resonance of 0.3, so that a bristle at rest does not ring
         torque -= rest * a + 0.6 * np.sqrt(rest * inertia / shaft.breakaway) * sliding
     if shaft.imbalance != 0.0:

@@ -20,6 +20,8 @@ from tests.hidden.parts import (
     Drive,
     Sensor,
     Shaft,
+    advance,
+    ahead,
     amplified,
     bristle_step,
     coloured,
@@ -98,6 +100,7 @@ def run(m, shaft, drive, sensor, arm, foreign, loop, course, angles, forces, dra
     N, h = len(course), DT / FINE
     commands, measured = np.empty(N), np.empty(N)
     x, k1, k2, k3, k4 = np.zeros(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    mid = np.empty(len(x))
     fifo, count, bristle, gap, z, seen = np.zeros(int(LONGEST_DELAY / h) + 2), 0, 0.0, 0.0, 0.0, 0.0
     memory = np.empty(SENSOR_MEMORY)
     sense_start(memory, 0.0)
@@ -112,12 +115,16 @@ def run(m, shaft, drive, sensor, arm, foreign, loop, course, angles, forces, dra
             force, gap = amplified(drive, gap, delayed(fifo, count, drive.input_delay, h), t, h)
             count += 1
             force += forces[k]
-            a, mid = angles[k] + swing * j * h, t + 0.5 * h
+            a = angles[k] + swing * j * h
             _rates(x, k1, m, shaft, arm, foreign, bristle, force, a, swing, t)
-            _rates(x + 0.5 * h * k1, k2, m, shaft, arm, foreign, bristle, force, a + 0.5 * h * swing, swing, mid)
-            _rates(x + 0.5 * h * k2, k3, m, shaft, arm, foreign, bristle, force, a + 0.5 * h * swing, swing, mid)
-            _rates(x + h * k3, k4, m, shaft, arm, foreign, bristle, force, a + h * swing, swing, t + h)
-            x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            _rates(
+                ahead(x, k1, 0.5 * h, mid), k2, m, shaft, arm, foreign, bristle, force, a + 0.5 * h * swing, swing, t + 0.5 * h
+            )
+            _rates(
+                ahead(x, k2, 0.5 * h, mid), k3, m, shaft, arm, foreign, bristle, force, a + 0.5 * h * swing, swing, t + 0.5 * h
+            )
+            _rates(ahead(x, k3, h, mid), k4, m, shaft, arm, foreign, bristle, force, a + h * swing, swing, t + h)
+            advance(x, k1, k2, k3, k4, h)
             bristle = bristle_step(shaft, bristle, x[0], 0.0, t + h, h)
             seen = sense_step(sensor, memory, x[0], h)
         if not np.isfinite(x[0]) or abs(x[0]) > 1e3:
@@ -209,13 +216,13 @@ def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], 
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
     course, angle = programme.signals.T
-    forces = FORCE_NOISE * coloured(draws, (SAMPLES, 1), setting.pole, setting.share)[:, 0]
+    forces = FORCE_NOISE * coloured(draws, (len(course), 1), setting.pole, setting.share)[:, 0]
     sensor = Sensor(PLANT.noise["v"], setting.resolution)._replace(**fields_of(Sensor, hidden, "v", phases))
     shaft = Shaft(breakaway=2e-4)._replace(**fields_of(Shaft, hidden, "rail", phases))
     commands, measured = run(
         setting.machine, shaft, Drive(**fields_of(Drive, hidden, "u", phases)), sensor,
         Arm(**fields_of(Arm, hidden, "rail", phases)), Foreign(**foreign_fields(Foreign, hidden)), setting.loop,
-        np.ascontiguousarray(course), np.ascontiguousarray(angle), forces, draws.standard_normal(SAMPLES),
+        np.ascontiguousarray(course), np.ascontiguousarray(angle), forces, draws.standard_normal(len(course)),
     )  # fmt: skip
     fault = "the robot ran away" * (not np.abs(measured).max() < FASTEST)
     values = {"u": commands, "v": measured, "arm": RESOLUTION * np.round(angle / RESOLUTION), "v_set": course}

@@ -1,5 +1,357 @@
-from tests.hidden import parts
+"""The generator of hidden effects: its machines are the workbench's machines, and what it hides is what it says."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import welch
+
+from controllers.pid import PILoops
+from tests.hidden import axis, parts, robot, winding
+from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, lot_of
+from tests.hidden.catalogue import SIZE, Hidden
+from tests.hidden.drawn import Programme
+from workbench.errors import InputError
+from workbench.excitation import staircase
+from workbench.physics.controller import Playback
+from workbench.simulate import Scenario, simulate
+
+KEYS = [(module, f"{effect}@{place}") for module in MACHINES.values() for place, ids in module.PLACES.items() for effect in ids]
+LIMITS = {
+    key: 0.01 if key.startswith("saturation") else module.CAPS.get(key, module.CAPS.get(key.partition("@")[0])) / 20
+    for module, key in KEYS
+}
+NAMES = [key for _, key in KEYS]
 
 
-def test_a():
-    assert parts.SENSOR_MEMORY
+def hidden(key: str, size: float, **shapes: float) -> Hidden:
+    effect, _, place = key.partition("@")
+    if effect == "arm-gravity":
+        shapes = {"sine": 0.8 * size, "cosine": 0.6 * size}
+    return Hidden(effect, place, {SIZE[effect][0]: size} | shapes, 1.0)
+
+
+def short(module, samples: int = 300):
+    """A setting and a programme that starts, stops and turns back as the machine allows."""
+    setting = module.setting(np.random.default_rng(5), False)
+    if module is winding:
+        speed = staircase(samples, [0.0, 60.0, 0.0, 100.0], rise=40)
+        signals = np.column_stack([speed, staircase(samples, [0.0, 5.0, -5.0, 2.0, 0.0, 4.0], rise=10)])
+    elif module is robot:
+        signals = np.column_stack([staircase(samples, [0.0, 2.0, 0.0, -2.0, 1.0]), staircase(samples, [0.0, 1.0, -1.0], rise=60)])
+    else:
+        t = module.DT * np.arange(5 * samples)
+        signals = 0.1 * (1.0 - np.cos(2 * np.pi * 1.2 * t))[:, None]
+    return setting, Programme("short", signals)
+
+
+def values(module, truth=(), *, seed=0):
+    setting, programme = short(module)
+    return module.outcome(setting, programme, truth, np.random.SeedSequence(seed)).experiment.values
+
+
+# ---- the machines ----------------------------------------------------------------------------------------------------
+
+
+def test_a_quiet_winding_machine_runs_as_the_workbench_simulates_it():
+    plant = winding.PLANT
+    _, u0 = plant.equilibrium()
+    N = 700
+    speed = 100.0 + staircase(N, [0.0, -60.0, -100.0, 20.0], rise=50)
+    angle = staircase(N, [0.0, 5.0, -5.0, 5.0, 0.0], rise=10)
+    loop = PILoops(
+        ("V2", "V1"),
+        ("w3", "theta"),
+        ("w3_set", "theta_set"),
+        np.array([0.01, -0.005]),
+        np.array([0.05, -0.02]),
+        u0[::-1],
+        plant.dt,
+    )
+    expected = simulate(plant, loop, Scenario("quiet", {"w3_set": speed, "theta_set": angle})).experiment
+    m = winding.Machine(**{p.name: p.value for p in plant.parameters})
+    start, hold = winding._at_work(m, (m.r_full, m.r_core), 100.0)
+    start[:2] = plant.equilibrium()[0][:2]
+    np.testing.assert_allclose(hold, u0, atol=1e-3)  # radii that change make the difference
+    mine = winding.Loop(-0.005, -0.02, 1.0, 0.0, u0[0], 0.01, 0.05, 1.0, 0.0, u0[1])
+    commands, measured, _ = winding.run(
+        m, winding.Web(), (parts.Shaft(),) * 3, (parts.Drive(),) * 2, (parts.Sensor(),) * 5, (winding.Span(),) * 2,
+        winding.Foreign(), mine, np.column_stack([speed, angle]), np.zeros((N, 2)), np.zeros((4 * N, 3)), np.zeros((N, 5)),
+        start, hold, 0,
+    )  # fmt: skip
+    for name, got in zip(("V1", "V2", "w1", "w2", "w3", "theta", "r2"), np.column_stack([commands, measured]).T, strict=True):
+        np.testing.assert_allclose(got, expected[name], atol=2e-4 * np.ptp(expected[name]), err_msg=name)
+
+
+@pytest.mark.parametrize("module", [robot, axis])
+def test_a_quiet_robot_and_a_quiet_axis_move_as_the_workbench_simulates_their_commands(module):
+    _, programme = short(module)
+    machine = module.Machine(**{p.name: p.value for p in module.PLANT.parameters})
+    courses = [np.ascontiguousarray(c) for c in programme.signals.T]
+    zeros = np.zeros(len(courses[0]))
+    if module is robot:
+        loop, more = robot.Loop(0.3, 4.0, 5.0, 0.7), (robot.Arm(),)
+    else:
+        loop, more = axis._loop(np.random.default_rng(1)), ()
+    commands, measured = module.run(
+        machine, parts.Shaft(), parts.Drive(), parts.Sensor(), *more, module.Foreign(), loop, *courses, zeros, zeros
+    )
+    played = {module.INPUTS[0]: commands} | ({"arm": courses[1]} if module is robot else {})
+    expected = simulate(module.PLANT, Playback(tuple(played), module.DT), Scenario("quiet", played)).experiment
+    got = expected[module.OUTPUTS[0]]
+    assert np.ptp(got) > 0.05
+    np.testing.assert_allclose(measured, got, atol=1e-4 * np.ptp(got))
+
+
+def test_machines_lie_within_their_tolerances_and_differ():
+    for module in MACHINES.values():
+        drawn = [module.setting(np.random.default_rng(seed), False).machine for seed in range(30)]
+        for p in module.PLANT.parameters:
+            share = np.array([getattr(m, p.name) for m in drawn]) / p.value - 1.0
+            assert np.all(np.abs(share) <= p.tolerance * (1 + 1e-12))
+            assert share.std() >= 0.3 * p.tolerance
+
+
+# ---- what is hidden --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("w", [0.3, 5.0, -80.0])
+def test_a_sliding_bristle_carries_the_level_of_dry_friction(w):
+    shaft = parts.Shaft(coulomb=0.002, stribeck=0.001, stribeck_speed=4.0, load_friction=0.1, asymmetric_friction=0.0005)
+    a, load = 0.0, -0.005
+    for _ in range(5000):
+        a = parts.bristle_step(shaft, a, w, load, 0.0, 1e-3)
+    level = 0.002 + 0.001 * np.exp(-((w / 4.0) ** 2)) + 0.1 * 0.005 + 0.0005 * (w > 0)
+    assert parts.shaft_torque(shaft, a, w, 0.0, load, 3e-5, 0.0) == pytest.approx(-np.sign(w) * level, rel=1e-9)
+
+
+def test_a_bristle_at_rest_holds_what_pulls_less_than_the_level():
+    shaft, a, w, angle, J, h = parts.Shaft(coulomb=0.002), 0.0, 0.0, 0.0, 3e-5, 1e-3
+    for _ in range(5000):
+        w += h / J * (0.0015 + parts.shaft_torque(shaft, a, w, angle, 0.0, J, 0.0))
+        a, angle = parts.bristle_step(shaft, a, w, 0.0, 0.0, h), angle + h * w
+    assert abs(w) < 1e-3
+    assert abs(angle) < 5 * shaft.breakaway
+
+
+def test_a_delay_of_any_length_keeps_the_impulse_of_a_command():
+    h, delay = 1e-3, 3.7e-3
+    fifo = np.zeros(20)
+    late = []
+    for count in range(15):
+        fifo[count % 20] = 1.0 if count >= 5 else 0.0
+        late.append(parts.delayed(fifo, count, delay, h))
+    np.testing.assert_allclose(late, np.clip(np.arange(15) + 1 - 5 - delay / h, 0.0, 1.0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "late"),
+    [(parts.Sensor(sensor_lag=0.03), 0.03), (parts.Sensor(sensor_resonance=0.02, sensor_resonance_damping=0.4), 0.016)],
+)
+def test_slow_sensors_follow_a_ramp_late_by_their_time(sensor, late):
+    memory, h = np.empty(parts.SENSOR_MEMORY), 1e-3
+    parts.sense_start(memory, 2.0)
+    for k in range(1, 2001):
+        y = parts.sense_step(sensor, memory, 2.0 + 3.0 * k * h, h)
+    assert y == pytest.approx(2.0 + 3.0 * (2.0 - late), abs=1e-9)
+
+
+def test_play_stands_still_after_a_reversal_and_is_symmetric():
+    z = 5.0 * np.sin(np.linspace(0.0, 20.0, 2000))
+    seen = []
+    for sign in (1.0, -1.0):
+        memory = np.empty(parts.SENSOR_MEMORY)
+        parts.sense_start(memory, 0.0)
+        seen.append([parts.sense_step(parts.Sensor(backlash=0.5), memory, sign * v, 1e-3) for v in z])
+    np.testing.assert_array_equal(seen[0], np.negative(seen[1]))
+    assert max(seen[0]) == pytest.approx(z.max() - 0.5, abs=1e-3)
+
+
+def test_a_gear_loses_its_play_once_a_reversal():
+    drive, h, gap = parts.Drive(gear_backlash=0.04), 1e-3, 1.0
+    acting = []
+    for _ in range(100):
+        u, gap = parts.amplified(drive, gap, -2.0, 0.0, h)
+        acting.append(u)
+    assert h * (200.0 + np.sum(acting)) == pytest.approx(0.04, abs=2 * h)
+    assert acting[-1] == -2.0
+
+
+def test_the_arm_of_an_eccentric_reel_is_the_slope_of_the_length_of_its_web():
+    # the web from a fixed guide: free length, and what lies on the circle up to a mark that turns with the reel
+    r, offset = 0.02, 5e-4
+
+    def length(angle):
+        centre = offset * np.array([np.sin(angle), np.cos(angle)])
+        d = np.array([winding.REACH, r]) - centre
+        contact = np.arctan2(d[1], d[0]) + np.arccos(r / np.linalg.norm(d))
+        return np.sqrt(d @ d - r * r) - r * (contact + angle)
+
+    for angle in np.linspace(0.0, 6.0, 13):
+        slope = (length(angle - 1e-5) - length(angle + 1e-5)) / 2e-5  # the reel pays out
+        assert winding.web_arm(r, offset, angle) == pytest.approx(slope, abs=1e-9)
+        assert winding.web_arm(r, offset, angle) == pytest.approx(r + offset * np.cos(angle), abs=3 * offset**2 / r)
+
+
+def test_a_stiffening_web_has_the_stated_slope_at_rest_and_its_first_order_change():
+    span, K, T0, c, step = winding.Span(nonlinear_elasticity=0.4), 200.0, 0.3, 0.4, 1e-6
+
+    def T(x):
+        return winding._spring(span, x, K, T0, 0.0)
+
+    for share in (-0.02, 0.0, 0.02):
+        x = (1.0 + share) * T0 / K
+        assert (T(x + step) - T(x - step)) / (2 * step) == pytest.approx(K * (1 + c * (T(x) - T0) / T0), rel=2e-4)
+
+
+@pytest.mark.parametrize(("module", "key"), KEYS, ids=NAMES)
+def test_an_effect_of_size_0_is_neutral_and_one_of_its_largest_size_is_not(module, key):
+    quiet = QUIET.setdefault(module.NAME, values(module))
+    np.testing.assert_array_equal(values(module, (hidden(key, 0.0),)), quiet)
+    if key == "gear-backlash@V2":
+        return  # V2 holds the tape and never changes its sign: no record of ours can show this play
+    at_work = {"time": 0.2 * len(quiet) * module.DT} if "jump" in key or "heating" in key or "viscoelastic" in key else {}
+    if key.startswith("stribeck"):
+        at_work = {"speed": 5.0 * module.RANGES.radian}
+    effect = key.partition("@")[0]
+    size = module.CAPS.get(key, module.CAPS.get(effect)) if effect != "saturation" else 0.6 * np.abs(quiet[:, 0]).max()
+    moved = values(module, (hidden(key, size, **at_work),)) - quiet
+    assert np.abs(moved / np.std(quiet, axis=0).clip(1e-9)).max() > 1e-3
+
+
+QUIET: dict[str, np.ndarray] = {}
+
+
+@pytest.mark.parametrize(("module", "name"), [(m, name) for m in MACHINES.values() for name in m.FOREIGN])
+def test_foreign_physics_is_neutral_at_0_and_seen_at_its_trial_size(module, name):
+    quiet = values(module)
+    np.testing.assert_array_equal(values(module, (Hidden(name, "outside", {"size": 0.0}, 0.0, False),)), quiet)
+    moved = values(module, (Hidden(name, "outside", {"size": module.TRIAL[name]}, 0.0, False),)) - quiet
+    assert np.abs(moved / np.std(quiet, axis=0).clip(1e-9)).max() > 1e-3
+
+
+def test_what_turns_starts_at_another_phase_in_every_record():
+    truth = (hidden("imbalance@rewind", 5e-4),)
+    before, after = (
+        [winding.outcome(*short(winding), what, np.random.SeedSequence(seed)).experiment["w2"] for seed in (1, 2)]
+        for what in ((), truth)
+    )
+    first, second = (b - a for a, b in zip(before, after, strict=True))
+    assert abs(np.corrcoef(first, second)[0, 1]) < 0.98
+
+
+def test_coloured_noise_has_the_stated_spectrum():
+    pole, share = 0.9, 0.4
+    noise = parts.coloured(np.random.default_rng(3), (200_000, 2), pole, share)
+    np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.02)
+    assert abs(np.corrcoef(noise.T)[0, 1]) < 0.02
+    f, density = welch(noise[:, 0], fs=1.0, nperseg=256)
+    expected = 2 * (1 - share + share * (1 - pole**2) / np.abs(1 - pole * np.exp(-2j * np.pi * f)) ** 2)
+    np.testing.assert_allclose(density[3:-1], expected[3:-1], rtol=0.2)
+
+
+# ---- the cases -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_the_same_seed_gives_the_same_case_bit_for_bit_and_another_seed_another(machine):
+    first, again, other = (draw(seed, machine=machine, kind=Kind.SINGLE, limits=LIMITS) for seed in (7, 7, 8))
+    assert [h.parameters for h in first.truth] == [h.parameters for h in again.truth]
+    for a, b, c in zip(first.records, again.records, other.records, strict=False):
+        np.testing.assert_array_equal(a.values, b.values)
+        assert not np.array_equal(a.values[:, 0], c.values[:, 0])
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_records_have_the_channels_units_and_roles_of_the_plant(machine):
+    case = draw(3, machine=machine, kind=Kind.NOTHING, limits={})
+    plant = MACHINES[machine].PLANT
+    known = {c.name: c for c in (*plant.inputs, *plant.outputs)}
+    assert case.truth == ()
+    assert case.records.dt == plant.dt
+    for experiment in (*case.records, *case.held_out):
+        for channel in experiment.channels:
+            if channel.role == "reference":
+                assert channel.unit == known[channel.name.removesuffix("_set")].unit
+            else:
+                assert (channel.unit, channel.role) == (known[channel.name].unit, known[channel.name].role)
+        assert set(plant.commanded) <= set(experiment.names)
+    assert not set(case.records.names) & set(case.held_out.names)
+
+
+def test_some_winding_machines_measure_neither_reel_speed_and_then_hide_nothing_in_those_sensors():
+    limits = {"sensor-bias@w1": 0.2, "sensor-bias@w3": 0.2}
+    cases = [draw(seed, machine="web-winding", kind=Kind.SINGLE, limits=limits) for seed in range(5)]
+    measured = ["w1" in case.records.experiments[0].names for case in cases]
+    assert True in measured
+    assert False in measured
+    for case, has in zip(cases, measured, strict=True):
+        assert ("w2" in case.records.experiments[0].names) is has
+        assert has or case.truth[0].place == "w3"
+
+
+def test_machines_and_kinds_come_in_the_stated_proportions():
+    N = 4000
+    lots = [lot_of(seed) for seed in range(N)]
+    for shares, drawn in ((MIX, [lot.machine for lot in lots]), (SHARES, [lot.kind for lot in lots])):
+        counts = Counter(drawn)
+        assert sum(shares.values()) == pytest.approx(1.0)
+        for name, share in shares.items():
+            assert abs(counts[name] - N * share) < 4 * np.sqrt(N * share * (1 - share))
+
+
+def test_sizes_are_stated_multiples_of_the_limit_within_range_and_capped():
+    for seed in range(40):
+        case = draw(seed, machine="positioning-axis", kind=Kind.PAIR, limits=LIMITS)
+        first, second = case.truth
+        assert first.effect != second.effect
+        for h in case.truth:
+            assert 0.5 * 0.6**2 <= h.multiple <= 20.0
+            if h.effect != "saturation":
+                assert abs(h.size) == pytest.approx(h.multiple * LIMITS[h.key])
+                assert abs(h.size) <= axis.CAPS[h.effect] * (1 + 1e-9)
+
+
+def test_a_saturation_clips_the_largest_command_by_its_multiple():
+    limits = {"saturation@u": 0.02}
+    case = draw(4, machine="welding-robot", kind=Kind.SINGLE, limits=limits)
+    quiet = draw(4, machine="welding-robot", kind=Kind.NOTHING, limits=limits)
+    largest = max(np.abs(e["u"]).max() for e in quiet.records)
+    assert case.truth[0].size == pytest.approx(largest - 0.02 * case.truth[0].multiple)
+
+
+def test_physics_outside_the_catalogue_is_drawn_and_said_to_be_outside():
+    case = draw(2, machine="welding-robot", kind=Kind.OUTSIDE, limits={})
+    (h,) = case.truth
+    assert not h.catalogued
+    assert h.effect in robot.FOREIGN
+    assert h.size > 0
+
+
+def test_quiet_machines_keep_the_tape_tight():
+    for seed in range(50):
+        bench = _Bench(winding, seed)
+        k = seed % len(bench.programmes)
+        outcome = winding.outcome(bench.setting, bench.programmes[k], (), np.random.SeedSequence([seed, 4, k]))
+        assert outcome.fault == "", f"seed {seed}, {bench.programmes[k].name}"
+
+
+def test_a_slack_tape_is_found_drawn_again_and_noted(monkeypatch):
+    monkeypatch.setitem(winding.CAPS, "periodic-tension", 60.0)
+    setting, programme = short(winding)
+    shaken = (hidden("periodic-tension@T1", 30.0, frequency=1.0),)
+    assert "slack" in winding.outcome(setting, programme, shaken, np.random.SeedSequence(0)).fault
+    case = draw(1, machine="web-winding", kind=Kind.SINGLE, limits={"periodic-tension@T1": 2.0})
+    assert any("slack" in note for note in case.notes)
+    assert all((0.30 + 0.01 * e["theta"]).min() > 0.0 for e in case.records)
+
+
+def test_unknown_names_and_limits_that_are_no_limits_are_refused():
+    with pytest.raises(InputError, match="coulomb"):
+        draw(0, limits={"coulom@rewind": 1.0})
+    with pytest.raises(InputError, match="detection limit"):
+        draw(0, limits={"coulomb@rewind": np.inf})
+    with pytest.raises(InputError, match="too few effects"):
+        draw(0, machine="web-winding", kind=Kind.PAIR, limits={"coulomb@rewind": 1e-3})
+    assert replace(hidden("coulomb@rewind", 1.0), multiple=2.0).key == "coulomb@rewind"

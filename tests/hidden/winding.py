@@ -23,6 +23,8 @@ from tests.hidden.parts import (
     Drive,
     Sensor,
     Shaft,
+    advance,
+    ahead,
     amplified,
     bristle_step,
     coloured,
@@ -200,6 +202,7 @@ def run(m, web, shafts, drives, sensors, spans, foreign, loop, set_points, volts
     N, h = len(set_points), DT / FINE
     commands, measured = np.empty((N, 2)), np.empty((N, 5))
     x, k1, k2, k3, k4 = start.copy(), np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES)
+    mid = np.empty(len(x))
     bristles, gap, lowest = np.zeros(3), np.ones(2), np.full(3, np.inf)
     fifo, count = np.empty((2, int(LONGEST_DELAY / h) + 2)), 0
     fifo[0], fifo[1] = hold[0], hold[1]
@@ -234,10 +237,10 @@ def run(m, web, shafts, drives, sensors, spans, foreign, loop, set_points, volts
             V2 += volts[k, 1]
             noise = torques[TORQUES * k + j * TORQUES // FINE]
             _rates(x, k1, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t)
-            _rates(x + 0.5 * h * k1, k2, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t + 0.5 * h)
-            _rates(x + 0.5 * h * k2, k3, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t + 0.5 * h)
-            _rates(x + h * k3, k4, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t + h)
-            x += h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            _rates(ahead(x, k1, 0.5 * h, mid), k2, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t + 0.5 * h)
+            _rates(ahead(x, k2, 0.5 * h, mid), k3, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t + 0.5 * h)
+            _rates(ahead(x, k3, h, mid), k4, m, web, shafts, spans, foreign, bristles, warmth, V1, V2, noise, t + h)
+            advance(x, k1, k2, k3, k4, h)
             T1, T2, _, a1, a2 = tensions(x, m, web, spans, foreign, t + h)
             loads = (a1 * T1, a2 * T2, m.r3 * (T1 + T2))
             for i in range(3):
@@ -390,7 +393,7 @@ def programmes(setting: Setting, random: np.random.Generator) -> tuple[Programme
 def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], seed: np.random.SeedSequence) -> Outcome:
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
-    total, m = SAMPLES + WARM_UP, setting.machine
+    total, m = len(programme.signals) + WARM_UP, setting.machine
     set_points = np.vstack([np.repeat(programme.signals[:1], WARM_UP, axis=0), programme.signals])
     volts = coloured(draws, (total, 2), setting.pole, setting.share) * VOLTS
     torques = coloured(draws, (TORQUES * total, 3), setting.pole ** (1 / TORQUES), setting.share) * TORQUE_NOISE
