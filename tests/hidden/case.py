@@ -191,6 +191,8 @@ def _sized(bench: _Bench, key: str, limit: float, random: np.random.Generator) -
     multiple = float(LOW * (high / LOW) ** random.random())
     sign = -1.0 if random.random() < 0.5 and effect in SIGNED else 1.0
     size = sign * multiple * limit
+    if effect == "stiffness-jump" and size < -0.5:
+        size = -size  # a web does not go limp
     if effect == "saturation":
         size = _largest(bench, place) - size
     parameters = {SIZE[effect][0]: size} | shapes(effect, bench.module.RANGES, size, random)

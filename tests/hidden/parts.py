@@ -2,7 +2,7 @@
 
 Dry friction is that of [1], a bristle of deflection a (in units of its break-away deflection) instead of a smoothed sign:
 
-    torque = -(g(0) a + d a'),   a' = w/b (1 - a sgn(w) g(0)/g(w)),   g(w) = level + stribeck exp(-(w/speed)^2) + load friction
+    torque = -(g(0) a + d(w) a'),   a' = w/b (1 - a sgn(w) g(0)/g(w)),   g(w) = level + stribeck exp(-(w/speed)^2) + load friction
 
 At steady speed a = sgn(w) g(w)/g(0), so the torque is -g(w) sgn(w). [1] C. Canudas de Wit et al., "A new model for control of
 systems with friction", IEEE Transactions on Automatic Control 40(3), 1995.
@@ -119,8 +119,9 @@ def shaft_torque(shaft, a, w, angle, load, inertia, t):
     rest = level_at_rest(shaft, load, t)
     if rest > 0.0:
         share = max(dry_level(shaft, w, load, t) / rest, 1e-6)
-        # held within a step: a bristle that a sudden fall of g(w) leaves far out must not tear at the shaft
-        sliding = w * min(max(1.0 - a * np.sign(w) / share, 0.0), 2.0)
+        # held within a step: a bristle that a sudden fall of g(w) leaves far out must not tear at the shaft. Its own damping
+        # belongs to the creep before it lets go: at speed it would kick a shaft on which friction sets in
+        sliding = w * min(max(1.0 - a * np.sign(w) / share, 0.0), 2.0) * np.exp(-((w / (50.0 * shaft.breakaway)) ** 2))
         # damped like a resonance of 0.3, so that a bristle at rest does not ring
         torque -= rest * a + 0.6 * np.sqrt(rest * inertia / shaft.breakaway) * sliding
     if shaft.imbalance != 0.0:

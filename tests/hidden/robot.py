@@ -2,7 +2,7 @@
 
     m1 v1' = F - b1 v1 - c (v1 - v2) + what rubs, pulls and tilts,   m2 v2' = c (v1 - v2) - b2 v2
 
-The platform is driven open loop or by a PI loop on its speed. Runge-Kutta of fourth order at 0.5 ms.
+The platform is driven open loop or by a PI loop on its speed. Runge-Kutta of fourth order at 1 ms.
 """
 
 from dataclasses import replace
@@ -35,7 +35,7 @@ from tests.hidden.parts import (
 from workbench.records import record
 
 DT = 0.020
-FINE = 40  # steps a sample
+FINE = 20  # steps a sample
 TRAVEL = 0.010  # m/rad, radius of the wheels
 
 

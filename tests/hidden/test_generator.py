@@ -10,7 +10,7 @@ from scipy.signal import welch
 from controllers.pid import PILoops
 from tests.hidden import axis, parts, robot, winding
 from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, lot_of
-from tests.hidden.catalogue import SIZE, Hidden
+from tests.hidden.catalogue import SIZE, Hidden, fields_of, shapes
 from tests.hidden.drawn import Programme
 from workbench.errors import InputError
 from workbench.excitation import staircase
@@ -18,10 +18,14 @@ from workbench.physics.controller import Playback
 from workbench.simulate import Scenario, simulate
 
 KEYS = [(module, f"{effect}@{place}") for module in MACHINES.values() for place, ids in module.PLACES.items() for effect in ids]
-LIMITS = {
-    key: 0.01 if key.startswith("saturation") else module.CAPS.get(key, module.CAPS.get(key.partition("@")[0])) / 20
-    for module, key in KEYS
-}
+QUIET: dict[str, np.ndarray] = {}
+
+
+def cap(module, key: str) -> float:
+    return module.CAPS.get(key, module.CAPS.get(key.partition("@")[0]))
+
+
+LIMITS = {key: 0.01 if key.startswith("saturation") else cap(module, key) / 20 for module, key in KEYS}
 NAMES = [key for _, key in KEYS]
 
 
@@ -54,34 +58,80 @@ def values(module, truth=(), *, seed=0):
 # ---- the machines ----------------------------------------------------------------------------------------------------
 
 
-def test_a_quiet_winding_machine_runs_as_the_workbench_simulates_it():
-    plant = winding.PLANT
-    _, u0 = plant.equilibrium()
-    N = 700
-    speed = 100.0 + staircase(N, [0.0, -60.0, -100.0, 20.0], rise=50)
-    angle = staircase(N, [0.0, 5.0, -5.0, 5.0, 0.0], rise=10)
-    loop = PILoops(
-        ("V2", "V1"),
-        ("w3", "theta"),
-        ("w3_set", "theta_set"),
-        np.array([0.01, -0.005]),
-        np.array([0.05, -0.02]),
-        u0[::-1],
-        plant.dt,
-    )
-    expected = simulate(plant, loop, Scenario("quiet", {"w3_set": speed, "theta_set": angle})).experiment
-    m = winding.Machine(**{p.name: p.value for p in plant.parameters})
+class NoPhase:
+    """A generator of phases that are all 0: the catalogue's cosine."""
+
+    def uniform(self, low, high):
+        return 0.0 * (low + high)
+
+
+N = 600
+NOMINAL = winding.Machine(**{p.name: p.value for p in winding.PLANT.parameters})
+START, HOLD = winding.PLANT.equilibrium()
+ANGLE = staircase(N, [0.0, 5.0, -5.0, 5.0, 0.0], rise=10)
+LOGGED = ("V1", "V2", "w1", "w2", "w3", "theta", "r2")
+
+
+def mine(speed, truth=()):
+    """The nominal machine without noise, phases 0, under the loops of `theirs`: (N, 7) in the order of LOGGED."""
+    m, phases = NOMINAL, NoPhase()
     start, hold = winding._at_work(m, (m.r_full, m.r_core), 100.0)
-    start[:2] = plant.equilibrium()[0][:2]
-    np.testing.assert_allclose(hold, u0, atol=1e-3)  # radii that change make the difference
-    mine = winding.Loop(-0.005, -0.02, 1.0, 0.0, u0[0], 0.01, 0.05, 1.0, 0.0, u0[1])
+    np.testing.assert_allclose(hold, HOLD, atol=1e-3)  # radii that change make the difference
+    start[:2] = START[:2]
     commands, measured, _ = winding.run(
-        m, winding.Web(), (parts.Shaft(),) * 3, (parts.Drive(),) * 2, (parts.Sensor(),) * 5, (winding.Span(),) * 2,
-        winding.Foreign(), mine, np.column_stack([speed, angle]), np.zeros((N, 2)), np.zeros((4 * N, 3)), np.zeros((N, 5)),
-        start, hold, 0,
+        m, winding.web_of(truth, phases),
+        tuple(parts.Shaft(**fields_of(parts.Shaft, truth, at, phases)) for at in winding.SHAFTS),
+        tuple(parts.Drive(**fields_of(parts.Drive, truth, at, phases)) for at in winding.INPUTS),
+        tuple(parts.Sensor(**fields_of(parts.Sensor, truth, at, phases)) for at in winding.OUTPUTS),
+        tuple(winding.Span(**fields_of(winding.Span, truth, at, phases)) for at in winding.SPANS), winding.Foreign(),
+        winding.Loop(-0.005, -0.02, 1.0, 0.0, HOLD[0], 0.01, 0.05, 1.0, 0.0, HOLD[1]), np.column_stack([speed, ANGLE]),
+        np.zeros((N, 2)), np.zeros((4 * N, 3)), np.zeros((N, 5)), start, HOLD.copy(), 0,
     )  # fmt: skip
-    for name, got in zip(("V1", "V2", "w1", "w2", "w3", "theta", "r2"), np.column_stack([commands, measured]).T, strict=True):
-        np.testing.assert_allclose(got, expected[name], atol=2e-4 * np.ptp(expected[name]), err_msg=name)
+    return np.column_stack([commands, measured])
+
+
+def theirs(speed, truth=()):
+    """The workbench's own simulation of the same runs."""
+    loops = PILoops(
+        ("V2", "V1"), ("w3", "theta"), ("w3_set", "theta_set"), np.array([0.01, -0.005]), np.array([0.05, -0.02]), HOLD[::-1],
+        winding.DT,
+    )  # fmt: skip
+    effects = {h.key: {"cosine" if name == "amplitude" else name: value for name, value in h.parameters.items()} for h in truth}
+    scenario = Scenario("quiet", {"w3_set": speed, "theta_set": ANGLE})
+    return simulate(winding.PLANT, loops, scenario, effects=effects, substeps=20).experiment[LOGGED]
+
+
+def test_a_quiet_winding_machine_runs_as_the_workbench_simulates_it():
+    speed = 100.0 + staircase(N, [0.0, -60.0, -100.0, 20.0], rise=50)
+    expected = theirs(speed)
+    for name, got, want in zip(LOGGED, mine(speed).T, expected.T, strict=True):
+        np.testing.assert_allclose(got, want, atol=2e-4 * np.ptp(want), err_msg=name)
+
+
+MOVING = 100.0 + staircase(N, [0.0, -60.0, 20.0, -30.0], rise=50)  # bristles and smoothed signs differ at rest: on purpose
+# a jump is sudden here and smooth there; an imbalance has some inertia; the web stiffens by another law
+AGREEMENT = dict.fromkeys(SIZE, 0.03) | {
+    "nonlinear-elasticity": 0.1,
+    "stiffness-jump": 0.2,
+    "friction-jump": 0.2,
+    "imbalance": 0.06,
+}
+ONE_PLACE = {effect: place for place, effects in winding.PLACES.items() for effect in effects} | {"gear-backlash": "V1"}
+
+
+@pytest.mark.parametrize("effect", [effect for effect in ONE_PLACE if effect not in ("stribeck", "gear-backlash")])
+def test_a_size_means_what_it_means_in_the_catalogue(effect):
+    # as large as the catalogue's of the same numbers, though written with other equations
+    place = ONE_PLACE[effect]
+    quiet, expected = QUIET.setdefault("mine", mine(MOVING)), QUIET.setdefault("theirs", theirs(MOVING))
+    size = 0.7 * expected[:, 1].max() if effect == "saturation" else 0.3 * cap(winding, f"{effect}@{place}")
+    place = "V2" if effect == "saturation" else place
+    given = winding.RANGES._replace(duration=N * winding.DT)
+    truth = (Hidden(effect, place, {SIZE[effect][0]: size} | shapes(effect, given, size, np.random.default_rng(1)), 1.0),)
+    scale = np.std(expected, axis=0)
+    moved, same = (mine(MOVING, truth) - quiet) / scale, (theirs(MOVING, truth) - expected) / scale
+    assert np.linalg.norm(same) > 0.01
+    assert np.linalg.norm(moved - same) < AGREEMENT[effect] * np.linalg.norm(same)
 
 
 @pytest.mark.parametrize("module", [robot, axis])
@@ -215,12 +265,9 @@ def test_an_effect_of_size_0_is_neutral_and_one_of_its_largest_size_is_not(modul
     if key.startswith("stribeck"):
         at_work = {"speed": 5.0 * module.RANGES.radian}
     effect = key.partition("@")[0]
-    size = module.CAPS.get(key, module.CAPS.get(effect)) if effect != "saturation" else 0.6 * np.abs(quiet[:, 0]).max()
+    size = cap(module, key) if effect != "saturation" else 0.6 * np.abs(quiet[:, 0]).max()
     moved = values(module, (hidden(key, size, **at_work),)) - quiet
     assert np.abs(moved / np.std(quiet, axis=0).clip(1e-9)).max() > 1e-3
-
-
-QUIET: dict[str, np.ndarray] = {}
 
 
 @pytest.mark.parametrize(("module", "name"), [(m, name) for m in MACHINES.values() for name in m.FOREIGN])
@@ -282,7 +329,7 @@ def test_records_have_the_channels_units_and_roles_of_the_plant(machine):
 
 def test_some_winding_machines_measure_neither_reel_speed_and_then_hide_nothing_in_those_sensors():
     limits = {"sensor-bias@w1": 0.2, "sensor-bias@w3": 0.2}
-    cases = [draw(seed, machine="web-winding", kind=Kind.SINGLE, limits=limits) for seed in range(5)]
+    cases = [draw(seed, machine="web-winding", kind=Kind.SINGLE, limits=limits) for seed in range(4)]
     measured = ["w1" in case.records.experiments[0].names for case in cases]
     assert True in measured
     assert False in measured
