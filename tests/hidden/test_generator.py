@@ -349,7 +349,7 @@ def test_machines_and_kinds_come_in_the_stated_proportions():
 
 
 def test_sizes_are_stated_multiples_of_the_limit_within_range_and_capped():
-    for seed in range(40):
+    for seed in range(20):
         case = draw(seed, machine="positioning-axis", kind=Kind.PAIR, limits=LIMITS)
         first, second = case.truth
         assert first.effect != second.effect
