@@ -250,8 +250,11 @@ def run(
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
                 if affected:
                     add_parts(W, on)
-                for l in range(LANES):
+                    for l in range(LANES):
 {rates}
+                else:
+                    for l in range(LANES):
+{nominal}
                 for i in range({np} if len(push) > 0 else 0):
                     for l in range(LANES):
                         W[({slope} + i) * LANES + l] += push[k, i, l]
@@ -295,7 +298,7 @@ def kernel_source(
     sizes: Mapping[str, int],
 ) -> str:
     """The text of a kernel module; entry j of its `on` switches the j-th of parts and sensors together."""
-    indent = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 20, "measure": 20}
+    indent = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "measure": 20}
     once = [line for code in (*codes.values(), *(part.code for part in (*parts, *sensors))) for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}

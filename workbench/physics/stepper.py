@@ -102,6 +102,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "show": (["x", "p"], ["before"]),
         "measure": (["x", "p"], ["after"]),
         "rates": ([*within, *names], ["slope"]),
+        "nominal": (within, ["slope"]),
         **{name: ([*within, *names[:j]], [name]) for j, name in enumerate(names)},
         **{name: (["mem", "before", "after", "h", "eta"], [name]) for name in sensors},
     }
@@ -126,7 +127,9 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     speeds = [x[plant.state_names.index(speed)] for speed in plant.turning.values()]
     rates, parts = plant.parted.rates, plant.parted.parts
     slope = ca.vertcat(rates[:nx], *speeds, rates[nx:])
-    within = [*s.values(), *(part.symbols for part in parts)]
+    within, stood = [*s.values(), *(part.symbols for part in parts)], ca.vertcat(*(part.symbols for part in parts))
+    absent = ca.vertcat(ca.SX.zeros(stood.numel(), 1), ca.SX(plant.effect_vector()))
+    bare = ca.substitute(slope, ca.vertcat(stood, s["eta"]), absent)  # without effects: faster
     mem, before = ca.SX.sym("mem", len(plant.memories)), ca.SX.sym("before", len(plant.outputs))
     gaps, last, error = (
         ca.SX.sym("gaps", len(plant.gaps)), ca.SX.sym("last", len(plant.swinging)), ca.SX.sym("error", len(plant.outputs))
@@ -154,6 +157,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
             "drive", [s["u"], s["eta"], s["t"], gaps, last], [column(acting), column(crossed), column(swung), column(rate)]
         ),
         "rates": ca.Function("rates", within, [slope]),
+        "nominal": ca.Function("nominal", list(s.values()), [bare]),
         **{f"part{j}": ca.Function(f"part{j}", within[: len(s) + j], [part.values]) for j, part in enumerate(parts)},
         "show": ca.Function("show", [full, s["p"]], [column(after)]),
         "measure": ca.Function("measure", [full, s["p"]], [column(after)]),
@@ -244,10 +248,11 @@ def _block(
     reference, disturbance, noise = (
         np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
     )
-    kept = {effect for _, effect in plant.memories}
-    changed = {q.place for i, q in enumerate(plant.slots) if q.effect in kept and not q.parameter.shape and eta[i].any()}
-    remembering = [name in changed for name in plant.output_names]
-    affected = [bool(np.any(eta[list(part.sizes)])) for part in plant.parted.parts]
+    live = [(q.effect, q.place) for i, q in enumerate(plant.slots) if not q.parameter.shape and eta[i].any()]
+    dragging = {place for effect, place in live if effect.family == "sensor" and effect.memories}
+    remembering = [name in dragging for name in plant.output_names]
+    parts = [bool(np.any(eta[list(part.sizes)])) for part in plant.parted.parts]
+    affected = any(effect.family not in ("sensor", "actuator") for effect, _ in live)
     by_lane, shared, steer = np.empty((0, 0, 0)), np.empty((0, 0)), steering or Steering()
     restart, push = (
         by_lane if given is None else np.ascontiguousarray(given[:, :, pick]) for given in (steer.restart, steer.push)
@@ -257,7 +262,7 @@ def _block(
     remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
     kernel.run(
         W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
-        np.array([*affected, *remembering]), any(affected), any(remembering), observed, gain, restart, push, remembered,
+        np.array([*parts, *remembering]), affected, any(remembering), observed, gain, restart, push, remembered,
     )  # fmt: skip
     return states, measured, commands, np.concatenate([states, remembered], axis=1) if steer.full else remembered
 
