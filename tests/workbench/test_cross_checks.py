@@ -7,6 +7,7 @@ from workbench.data import Channel, Dataset, Experiment
 from workbench.identify.ssm import SSM
 from workbench.lpv import CONSTANT, Gaussian, LPVModel, OperatingPoint, Powers, Term, load_model
 from workbench.physics.controller import Playback
+from workbench.physics.effects.effect import Port
 from workbench.physics.plant import Plant
 from workbench.simulate import Scenario, simulate
 
@@ -58,10 +59,10 @@ def test_functions_that_differ_in_the_fifth_digit_keep_their_places_in_a_file(tm
         np.testing.assert_array_equal(again.freeze(rho)[0], model.freeze(rho)[0])
 
 
-class Clock:
+class Clock(Port):
     """A port that offers the time of the integrator's stage."""
 
-    place, family = "clock", "shaft"
+    family = "clock"
 
     def verbs(self, effects, context):
         return {"now": lambda: context.t}
@@ -70,7 +71,7 @@ class Clock:
 def test_effects_see_the_time_of_every_stage():
     plant = Plant(
         "clock", (Channel("x", "m"),), (Channel("u", "V"),), (Channel("y", "m"),), (),
-        lambda x, u, p, at: {"x": 3 * at.clock.now() ** 2}, lambda x, p: {"y": x.x}, dt=0.1, ports=(Clock(),), substeps=2,
+        lambda x, u, p, at: {"x": 3 * at.clock.now() ** 2}, lambda x, p: {"y": x.x}, dt=0.1, ports=(Clock("clock"),), substeps=2,
     )  # fmt: skip
     run = simulate(plant, Playback(("u",), 0.1), Scenario("s", {"u": np.zeros(30)}))
     np.testing.assert_allclose(run.states["x"], (0.1 * np.arange(30)) ** 3, rtol=1e-12, atol=1e-14)

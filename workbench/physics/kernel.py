@@ -170,12 +170,12 @@ def remember(W, on):
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1])",
+    "f8[:, :, ::1], f8[:, :, ::1], f8[::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
     W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, on, affected, remembering,
-    observed, gain, restart, push, remembered
+    observed, gain, restart, push, remembered, decay
 ):
     """Advance LANES runs through len(reference) samples; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
@@ -213,10 +213,12 @@ def run(
         if len(restart) > 0:
             for i in range({nx}):
                 for l in range(LANES):
-                    W[({x} + i) * LANES + l] = restart[k, i, l]
+                    if restart[k, i, l] == restart[k, i, l]:
+                        W[({x} + i) * LANES + l] = restart[k, i, l]
             for i in range({nm}):
                 for l in range(LANES):
-                    W[({mem} + i) * LANES + l] = restart[k, {nx} + i, l]
+                    if restart[k, {nx} + i, l] == restart[k, {nx} + i, l]:
+                        W[({mem} + i) * LANES + l] = restart[k, {nx} + i, l]
         for j in range({ny} if len(gain) > 0 else 0):
             for l in range(LANES):
                 error = observed[k, j] - measured[k, j, l]
@@ -225,6 +227,8 @@ def run(
                     W[({x} + i) * LANES + l] += gain[k, i, j] * error
                 for i in range({nm}):
                     W[({mem} + i) * LANES + l] += gain[k, {nx} + i, j] * error
+                for i in range(len(decay)):
+                    W[({drift} + i) * LANES + l] += gain[k, {nx} + {nm} + i, j] * error
         if len(restart) + len(gain) > 0:
             for l in range(LANES):
 {show}
@@ -258,6 +262,9 @@ def run(
                 for i in range({np} if len(push) > 0 else 0):
                     for l in range(LANES):
                         W[({slope} + i) * LANES + l] += push[k, i, l]
+                for i in range(len(decay)):
+                    for l in range(LANES):
+                        W[({slope} + i) * LANES + l] += W[({drift} + i) * LANES + l]
                 for i in range({nx}):
                     for l in range(LANES):
                         rise = W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
@@ -276,6 +283,9 @@ def run(
                 for i in range({ny}):
                     for l in range(LANES):
                         W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
+        for i in range(len(decay)):
+            for l in range(LANES):
+                W[({drift} + i) * LANES + l] *= decay[i]
 '''
 
 

@@ -83,7 +83,8 @@ class Plant:
 
     noise: standard deviation of each measured channel, white per sample; disturbance: of an unlogged signal added to each
     input, white per sample. limits: (low, high) of states within which the equation means something. substeps: integrator
-    steps per sample that keep the error of a run below 1e-4 of its range.
+    steps per sample that keep the error of a run below 1e-4 of its range. effects: missing physics that a diagnosis has added,
+    {"coulomb@unwind": {"level": 0.002}}; it acts wherever nothing else is asked for.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Plant:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     substeps: int = 10
     description: str = ""
+    effects: EffectSizes = field(default_factory=dict)
 
     def __post_init__(self):
         for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
@@ -223,10 +225,15 @@ class Plant:
                     mend=f"{q.meaning or q.name} must be {'finite' if q.signed else 'greater than 0'}",
                 )
 
+    @cached_property
+    def neutral(self) -> np.ndarray:
+        """Effect parameters eta (ne) of the bare equation."""
+        return np.array([slot.parameter.default for slot in self.slots])
+
     def effect_vector(self, sizes: EffectSizes | None = None) -> np.ndarray:
-        """Effect parameters eta (ne): neutral but for `sizes`, e.g. {"coulomb@unwind": {"level": 0.002}}."""
-        values = np.array([slot.parameter.default for slot in self.slots])
-        for key, numbers in (sizes or {}).items():
+        """Effect parameters eta (ne): the plant's own but for `sizes`, e.g. {"coulomb@unwind": {"level": 0.002}}."""
+        values = self.neutral.copy()
+        for key, numbers in (*self.effects.items(), *(sizes or {}).items()):
             check_known("effect", key, dict.fromkeys(slot.key for slot in self.slots), file=self.name)
             own = {slot.parameter.name: i for i, slot in enumerate(self.slots) if slot.key == key}
             for name, value in numbers.items():
@@ -476,7 +483,7 @@ class Plant:
             z[:, names.index(name)] = column
         unknown = [names.index(name) for name in self.start.solve_for]
         zero = [self.state_names.index(name) for name in self.start.zero]
-        nx, eta = len(self.states), np.repeat(self.effect_vector()[None], len(p), axis=0)
+        nx, eta = len(self.states), np.repeat(self.neutral[None], len(p), axis=0)
         for _ in range(50 if unknown else 0):
             residual = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
             A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)

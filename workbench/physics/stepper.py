@@ -47,7 +47,9 @@ class Steering:
 
     observed (N, ny) and gain (N, n, ny): after every sample the full state is corrected by gain (observed - predicted), for all
     runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every sample starts from the state given here instead of
-    the one arrived at. push (N, nx, R): is added to the states' rates of change, constant over each sample. None is none of it.
+    the one arrived at; where it is NaN the run goes on. push (N, nx, R): is added to the states' rates of change, constant over
+    each sample. decay (nx): rates of change that the filter estimates beside the full state, constant over a sample and faded
+    by this factor from one to the next; `gain` then has a row for each of them at its end. None is none of it.
     full: return the full states too.
     """
 
@@ -55,6 +57,7 @@ class Steering:
     gain: np.ndarray | None = None
     restart: np.ndarray | None = None
     push: np.ndarray | None = None
+    decay: np.ndarray | None = None
     full: bool = False
 
 
@@ -79,7 +82,8 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     nx, na, ny, nu = len(plant.states), len(plant.turning), len(plant.outputs), len(plant.inputs)
     all_states = nx + na + len(plant.inner)
     sizes = {
-        "x": all_states, "stage": all_states, "sum": all_states, "slope": all_states, "mem": len(plant.memories), "before": ny,
+        "x": all_states, "stage": all_states, "sum": all_states, "slope": all_states, "mem": len(plant.memories), "drift": nx,
+        "before": ny,
         "after": ny, "y": ny, "error": ny, "u": nu, "v": nu, "w": nu, "r": len(controller.references),
         "c": len(controller.init()), "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1,
         "h": 1, "gaps": len(plant.gaps), "last": len(plant.swinging), "rate": len(plant.swinging),
@@ -259,10 +263,12 @@ def _block(
     )
     observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
     gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
+    decay = np.empty(0) if steer.decay is None else np.ascontiguousarray(steer.decay)
     remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
     kernel.run(
         W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
         np.array([*parts, *remembering]), affected, any(remembering), observed, gain, restart, push, remembered,
+        decay,
     )  # fmt: skip
     return states, measured, commands, np.concatenate([states, remembered], axis=1) if steer.full else remembered
 
