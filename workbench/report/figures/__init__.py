@@ -5,6 +5,7 @@ the same data give the same bytes everywhere.
 """
 
 from workbench.report.figures.canvas import BEYOND, PIXELS, WIDTH, Trace
+from workbench.report.figures.diagnosis import ParameterEstimate, left_over, missing, parameters, signals, similarity
 from workbench.report.figures.envelopes import Band, Width, envelope, widths
 from workbench.report.figures.identification import order_sweep, singular_values, sparsity_path
 from workbench.report.figures.modes import (
@@ -24,6 +25,7 @@ __all__ = [
     "WIDTH",
     "Band",
     "Coefficient",
+    "ParameterEstimate",
     "ParameterInterval",
     "Trace",
     "Width",
@@ -31,13 +33,18 @@ __all__ = [
     "domains",
     "envelope",
     "frozen_responses",
+    "left_over",
     "measured_and_simulated",
+    "missing",
     "modes_against_precision",
     "modes_along_time",
     "order_sweep",
+    "parameters",
     "parameters_along_time",
     "responses",
     "score_dots",
+    "signals",
+    "similarity",
     "singular_values",
     "sparsity_path",
     "widths",

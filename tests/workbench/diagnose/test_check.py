@@ -1,0 +1,197 @@
+"""Records that are not of the plant, or say nothing, are refused by name; records with missing physics are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plants import PLANTS
+from studies.experiments import plan
+from workbench.data import Channel, Dataset, Experiment
+from workbench.diagnose.check import check, likeness, nearest
+from workbench.errors import InputError
+from workbench.simulate import simulate
+
+WINDING, ROBOT, AXIS = (PLANTS[name] for name in ("web-winding", "welding-robot", "positioning-axis"))
+
+
+def drawn(plant, experiment, seed=3, **options):
+    """A record of the machine's plan, 30 s of it."""
+    todo = plan(plant.name, experiment)
+    return simulate(plant, todo.controller, todo.scenario(seed), **options).experiment.trim(stop=30.0)
+
+
+@pytest.fixture(scope="module")
+def winding():
+    return drawn(WINDING, "prbs1")
+
+
+def scaled(e, name, factor, unit=None):
+    values = e.values.copy()
+    values[:, e.names.index(name)] *= factor
+    channels = tuple(replace(c, unit=unit) if c.name == name and unit is not None else c for c in e.channels)
+    return replace(e, values=values, channels=channels)
+
+
+def exchanged(e, a, b):
+    values, i, j = e.values.copy(), e.names.index(a), e.names.index(b)
+    values[:, [i, j]] = values[:, [j, i]]
+    return replace(e, values=values)
+
+
+def refused(plant, *records):
+    with pytest.raises(InputError) as reason:
+        check(plant, Dataset(records))
+    return reason.value
+
+
+# ---- what passes ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_records_of_the_plant_pass_without_a_word(plant):
+    names = {"web-winding": ("rbs", "rgs"), "welding-robot": ("prbs", "steps"), "positioning-axis": ("prbs", "steps")}[plant.name]
+    assert check(plant, Dataset(tuple(drawn(plant, name) for name in names))) == ()
+
+
+@pytest.mark.parametrize("experiment", ["prbs1", "ramp", "staircase"])
+def test_missing_physics_and_a_nominal_model_that_is_off_are_no_reason_to_refuse(experiment):
+    effects = {"coulomb@rewind": {"level": 0.01}, "sensor-lag@theta": {"time": 0.05}, "saturation@V2": {"limit": 4.0}}
+    e = drawn(WINDING, experiment, parameters={"kT": 0.022, "kE": 250.0, "B1": 2.6e-5}, effects=effects)
+    check(WINDING, Dataset((e,)))
+
+
+def test_dry_friction_of_ten_times_the_usual_size_is_no_reason_to_refuse():
+    check(AXIS, Dataset((drawn(AXIS, "prbs", effects={"coulomb@slide": {"level": 45.0}}),)))
+
+
+def test_a_dead_channel_beside_live_ones_is_a_note(winding):
+    (note,) = check(WINDING, Dataset((scaled(winding, "w1", 0.0),)))
+    assert (note.record, note.channel) == ("prbs1", "w1")
+    assert "constant at 0" in note.sentence
+
+
+# ---- units ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "unit"),
+    [
+        ("w1", 30 / np.pi, "rpm"),
+        ("w2", 180 / np.pi, "deg/s"),
+        ("w3", 30 / np.pi, "rpm"),
+        ("theta", np.pi / 180, "rad"),
+        ("r2", 1000.0, "mm"),
+        ("V1", 1000.0, "mV"),
+        ("V2", 1000.0, "mV"),
+    ],
+)
+def test_a_unit_is_told_by_its_size_although_the_header_says_another(winding, channel, factor, unit):
+    reason = refused(WINDING, scaled(winding, channel, factor))
+    assert f"looks like {unit}" in reason.problem
+    assert channel in str(reason)
+    assert f"{1 / factor:.6g}" in reason.mend
+
+
+def test_a_unit_is_told_by_its_size_on_a_machine_with_missing_physics():
+    e = drawn(WINDING, "prbs1", parameters={"kT": 0.022}, effects={"coulomb@rewind": {"level": 0.004}})
+    assert "looks like rpm" in refused(WINDING, scaled(e, "w3", 30 / np.pi)).problem
+
+
+def test_a_declared_unit_is_refused_with_its_factor(winding):
+    reason = refused(WINDING, scaled(winding, "w3", 30 / np.pi, unit="rpm"))
+    assert "unit is rpm, expected rad/s" in reason.problem
+
+
+def test_an_axis_in_millimetres_and_an_arm_in_degrees():
+    assert "looks like mm" in refused(AXIS, scaled(drawn(AXIS, "prbs"), "q", 1000.0)).problem
+    reason = refused(ROBOT, scaled(drawn(ROBOT, "prbs"), "arm", 180 / np.pi))
+    assert (reason.channel, reason.problem) == ("arm", "looks like deg, expected rad")
+
+
+def test_with_one_input_and_one_output_both_may_be_in_another_unit():
+    problem = refused(AXIS, scaled(drawn(AXIS, "prbs"), "F", 1000.0)).problem
+    assert "F looks like mN" in problem
+    assert "or q looks like km" in problem
+    stiff = drawn(AXIS, "prbs", effects={"coulomb@slide": {"level": 20.0}})
+    assert "is F in another unit?" in refused(AXIS, scaled(stiff, "F", 1000.0)).mend
+
+
+# ---- channels in wrong places, other machines ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("a", "b"), [("V1", "V2"), ("w1", "w2"), ("w2", "w3"), ("w3", "theta")])
+def test_channels_that_have_changed_places_are_named(winding, a, b):
+    reason = refused(WINDING, exchanged(winding, a, b))
+    assert f"{a} and {b} look exchanged" in reason.problem
+    assert reason.mend == f"swap {a} and {b}"
+
+
+def test_an_input_that_holds_an_output_is_refused(winding):
+    assert "leaves its range at once" in refused(WINDING, exchanged(winding, "V2", "w3")).problem
+
+
+def test_a_record_of_another_machine_is_refused_by_its_channels():
+    reason = refused(WINDING, drawn(ROBOT, "prbs"))
+    assert "has u, arm, v; web-winding needs the inputs V1, V2" in reason.problem
+    assert reason.channel == "V1, V2"
+
+
+def test_a_larger_machine_of_the_same_channels_is_refused_by_its_range(winding):
+    assert "stays within [0.01, 0.03] m" in refused(WINDING, scaled(winding, "r2", 9.0)).problem
+
+
+def test_outputs_that_do_not_follow_the_inputs_are_refused():
+    random = np.random.default_rng(5)
+    e = drawn(ROBOT, "prbs")
+    values = e.values.copy()
+    values[:, e.names.index("v")] = np.convolve(random.standard_normal(len(e) + 20), np.ones(21), "valid")
+    assert "follows none of v" in refused(ROBOT, replace(e, values=values)).problem
+
+
+# ---- records that say nothing ------------------------------------------------------------------------------------------------
+
+
+def test_a_short_record_is_told_how_long_it_should_be(winding):
+    reason = refused(WINDING, winding.trim(stop=4.0))
+    assert "100 samples are too short" in reason.problem
+    assert "at least 230 samples (9.2 s)" in reason.mend
+
+
+def test_inputs_at_rest_are_no_experiment(winding):
+    t = np.arange(400) * WINDING.dt
+    quiet = scaled(scaled(winding, "V1", 0.0), "V2", 0.0)
+    assert "no input moves" in refused(WINDING, quiet).problem
+    noise = np.random.default_rng(1).standard_normal((400, 7)) * [0.01, 0.01, 0.2, 0.2, 0.3, 0.2, 5e-6]
+    channels = (*WINDING.inputs, *WINDING.outputs)
+    level = [1.0, 2.0, 40.0, 100.0, 100.0, 0.0, 0.012]
+    e = Experiment("rest", t, channels, noise + level + np.outer(t, [0, 0, 0, 0, 0, 0, 1e-5]), WINDING.dt)
+    assert "no more than their noise" in refused(WINDING, e).problem
+
+
+def test_outputs_that_are_constant_or_at_their_stops_are_all_named(winding):
+    e = winding.select(["V1", "V2", "w3", "theta"])
+    w3, theta = e["w3"], e["theta"]
+    values = np.column_stack([e["V1"], e["V2"], np.minimum(w3, np.quantile(w3, 0.3)), np.zeros(len(theta))])
+    reason = refused(WINDING, replace(e, values=values))
+    assert "w3 sits at its stop" in reason.problem
+    assert "70 % of the record" in reason.problem
+    assert "theta is constant at 0" in reason.problem
+
+
+# ---- the measure ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_distance_is_that_of_the_docstring():
+    y = np.sin(np.linspace(0.0, 40.0, 4000))
+    assert likeness(3.0 * y + 7.0, y).distance == pytest.approx(np.log(3.0))
+    assert likeness(-y, y).distance == pytest.approx(4.0)
+    slow = np.linspace(-50.0, 50.0, 4000)
+    assert likeness(y + slow, y - slow).correlation < -0.9
+    assert nearest(y + slow, y - slow).correlation > 0.9  # the fast parts are the same
+    assert likeness(y, np.zeros(4000)).distance == np.inf
+
+
+def test_the_channels_of_a_user_without_units_are_taken_as_they_are(winding):
+    bare = replace(winding, channels=tuple(Channel(c.name, "", c.role) for c in winding.channels))
+    assert check(WINDING, Dataset((bare,))) == ()

@@ -1,0 +1,155 @@
+"""Left out means refitted without: exactly, where one step of Gauss-Newton is exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from tests.workbench.diagnose.cases import AXIS, axis_predictor, axis_records, fitted, refitted
+from workbench.data import Dataset
+from workbench.diagnose.confirm import PIECES, LeftOut, folds, left_out, stability
+from workbench.diagnose.fit import gauss_newton
+from workbench.diagnose.recalibrate import unknowns
+from workbench.diagnose.refit import Model
+
+OFFSET = "offset@F"
+
+
+def linear(data: Dataset, key: str | None = None, guess=None) -> Model:
+    """Only starts and an offset are fitted: with held gains the errors are linear in both."""
+    made = axis_predictor(data)
+    own = unknowns(made, names=())
+    base = Model(made, gauss_newton(made, own, own.zero(), np.zeros(len(AXIS.slots)), rounds=4, enough=1e-9))
+    return base if key is None else refitted(base, key, guess or [1.0], names=())
+
+
+def maps(model: Model, i: int):
+    """(e, J): errors of record i at all unknowns 0, and what one of each adds: its start (2), then the effect's sizes."""
+    own, made = model.fit.unknowns, model.predictor
+
+    def errors(z):
+        q = own.point(z)
+        return made.errors(i, q.p[None], q.eta[i][None], q.start[i][None])[0].ravel()
+
+    z = np.zeros(own.size)
+    e = errors(z)
+    units = np.eye(own.size)[own.columns(i)]
+    return e, np.column_stack([errors(unit) - e for unit in units])
+
+
+def squares_without(model: Model, i: int) -> float:
+    """Squares of record i when sizes come from the other records alone and its start from itself, by dense least squares."""
+    records, own = len(model.predictor.records), model.fit.unknowns
+    rows, right = [np.eye(own.size)[: 2 * records]], [np.zeros(2 * records)]  # priors of the starts
+    for j in range(records):
+        if j != i:
+            e, J = maps(model, j)
+            wide = np.zeros((len(e), own.size))
+            wide[:, own.columns(j)] = J
+            rows.append(wide)
+            right.append(-e)
+    z = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
+    e, J = maps(model, i)
+    e = e + J[:, 2:] @ z[2 * records :]
+    start = np.linalg.lstsq(np.vstack([J[:, :2], np.eye(2)]), -np.concatenate([e, np.zeros(2)]), rcond=None)[0]
+    return float(np.sum((e + J[:, :2] @ start) ** 2))
+
+
+def test_what_is_left_out_is_predicted_by_a_fit_of_the_others():
+    data = axis_records(1, {OFFSET: {"level": 1.5}}, records=3, samples=150, start={"v": 0.2})
+    base, extended = linear(data), linear(data, OFFSET)
+    found = left_out(base, extended)
+    exact = [squares_without(base, i) - squares_without(extended, i) for i in range(3)]
+    np.testing.assert_allclose(found.by_fold, exact, rtol=1e-5, atol=1e-5)
+    assert found.total == pytest.approx(sum(exact), rel=1e-5)
+    # it is not what the fit of all records gains
+    inside = [np.sum(b**2) - np.sum(e**2) for b, e in zip(base.fit.errors, extended.fit.errors, strict=True)]
+    assert sum(inside) > found.total + 0.1
+
+
+def test_a_true_effect_holds_on_what_was_left_out_and_one_that_is_not_there_does_not():
+    data = axis_records(2, {OFFSET: {"level": 5.0}}, records=3)
+    assert left_out(linear(data), linear(data, OFFSET)).holds
+    absent = [axis_records(20 + seed, records=3) for seed in range(8)]
+    totals = [left_out(linear(d), linear(d, OFFSET)) for d in absent]
+    assert sum(t.holds for t in totals) <= 1
+    assert np.mean([t.total for t in totals]) < 1.0  # on the average one number too many loses
+
+
+def test_one_lucky_record_is_not_enough():
+    assert LeftOut(np.array([9.0, 1.0, 2.0]), 2.0).holds
+    assert not LeftOut(np.array([30.0, -1.0, -2.0]), 2.0).holds
+    assert not LeftOut(np.array([1.0, 1.0, 1.0]), 2.0).holds
+
+
+def test_a_single_record_is_left_out_in_pieces():
+    data = axis_records(3, {OFFSET: {"level": 6.0}}, records=1, samples=600)
+    base, extended = linear(data), linear(data, OFFSET)
+    cut = folds(base)
+    assert [f.first for f in cut] == [0, 150, 300, 450]
+    assert [f.last for f in cut] == [150, 300, 450, 600]
+    assert len(cut) == PIECES
+    assert left_out(base, extended).holds
+
+
+def wobbling(amplitudes) -> list:
+    """An imbalance of these amplitudes, in every record at another angle."""
+    return [
+        {"imbalance@slide": {"cosine": a * np.cos(turn), "sine": a * np.sin(turn)}}
+        for a, turn in zip(amplitudes, (0.3, 2.0, -2.0), strict=True)
+    ]
+
+
+def wobble(seed, amplitudes):
+    base = fitted(axis_records(seed, wobbling(amplitudes), records=3, force=25.0, samples=400))
+    return base, refitted(base, "imbalance@slide", [6.0, 2.0], rounds=12)
+
+
+def test_a_phase_is_found_on_the_record_that_was_left_out_whichever_it_is():
+    for seed in (4, 5, 6):
+        found = left_out(*wobble(seed, (8.0, 8.0, 8.0)))
+        assert found.holds
+        assert np.all(found.by_fold > 0.0)  # the first record's zero is that of all rotations
+
+
+def test_the_amplitude_of_a_periodic_effect_is_tested_for_stability_and_its_phase_is_not():
+    assert min(stability(wobble(seed, (8.0, 8.0, 8.0))[1], "imbalance@slide") for seed in (4, 5, 6)) > 1e-3
+    assert stability(wobble(4, (16.0, 3.0, 3.0))[1], "imbalance@slide") < 1e-3
+
+
+def sizes_differ(seed, levels) -> float:
+    data = axis_records(seed, [{OFFSET: {"level": level}} for level in levels], records=len(levels))
+    return stability(linear(data, OFFSET), OFFSET)
+
+
+def test_a_size_that_differs_between_records_is_unstable_and_one_that_does_not_is_stable():
+    assert sizes_differ(5, (10.0, -10.0)) < 1e-4
+    assert sizes_differ(5, (14.0, 6.0, 2.0)) < 1e-4
+    same = [sizes_differ(500 + seed, (6.0, 6.0)) for seed in range(25)]
+    assert kstest(same, "uniform").pvalue > 1e-3
+
+
+def test_stability_is_the_chi_squared_of_a_size_for_every_record():
+    data = axis_records(6, [{OFFSET: {"level": 5.0}}, {OFFSET: {"level": 2.0}}])
+    model = linear(data, OFFSET)
+    alone = []  # (size, information) of each record, its start projected out
+    for i in range(2):
+        e, J = maps(model, i)
+        A, c = J.T @ J + np.diag([1.0, 1.0, 0.0]), J.T @ e
+        S = A[2, 2] - A[2, :2] @ np.linalg.solve(A[:2, :2], A[:2, 2])
+        alone.append((-(c[2] - A[2, :2] @ np.linalg.solve(A[:2, :2], c[:2])) / S, S))
+    (a, Sa), (b, Sb) = alone
+    chi = (a - b) ** 2 / (1 / Sa + 1 / Sb)
+    from scipy.stats import chi2
+
+    # blocks that vary more than white errors would weaken the evidence, nothing strengthens it
+    assert stability(model, OFFSET) >= chi2.sf(chi, 1) * (1 - 1e-6)
+    assert stability(model, OFFSET) < chi2.sf(chi / 2, 1)
+
+
+def test_an_effect_of_one_record_only_has_no_stability_to_test():
+    data = axis_records(7, [{OFFSET: {"level": 5.0}}, None])
+    model = linear(data, OFFSET)
+    silent = replace(model.fit, jacobian=(model.fit.jacobian[0], np.zeros_like(model.fit.jacobian[1])))
+    assert stability(Model(model.predictor, silent), OFFSET) == 1.0

@@ -1,0 +1,108 @@
+"""Whole diagnoses: effects that the simulation itself switched on are named with their size, nothing where nothing is missing."""
+
+import numpy as np
+import pytest
+
+from plants import WEB_WINDING
+from studies.experiments import EXPERIMENTS
+from tests.workbench.diagnose.cases import AXIS, ROBOT, axis_records, robot_records
+from workbench.data import Dataset
+from workbench.diagnose.answer import Finding
+from workbench.diagnose.diagnosis import diagnose
+from workbench.simulate import simulate
+
+AXIS_CASES = {
+    "coulomb@slide": ("level", 30.0),
+    "offset@F": ("level", 15.0),
+    "input-delay@F": ("time", 0.008),
+    "sensor-lag@q": ("time", 0.03),
+    "dead-zone@F": ("half_width", 30.0),
+    "saturation@F": ("limit", 350.0),
+}
+ROBOT_CASES = {
+    "coulomb@rail": ("level", 0.3),
+    "stribeck@rail": ("level", 0.5),
+    "quadratic-friction@rail": ("coefficient", 0.2),
+    "saturation@u": ("limit", 2.5),
+}
+
+
+def check(found, key: str, name: str, size: float):
+    assert found.finding is Finding.NAMED
+    (cause,) = found.causes
+    assert cause.key == key
+    estimate = cause.parameters[name]
+    assert estimate.value == pytest.approx(size, rel=0.1)
+    # four standard deviations: a 95 % interval misses one truth in twenty, and here are many
+    assert abs(estimate.value - size) < 2.0 * (estimate.high - estimate.low) / 2.0
+    assert cause.evidence.delta_bic > 50.0
+    assert found.effects[key][name] == pytest.approx(estimate.value)
+    one_step = [g for g in cause.gains if g.horizon == "one-step"]
+    assert all(g.after < g.before for g in one_step)
+
+
+@pytest.mark.parametrize("key", AXIS_CASES)
+def test_what_the_axis_lacks_is_named_with_its_size_and_its_gain_on_other_records(key):
+    name, size = AXIS_CASES[key]
+    made = [axis_records(seed, {key: {name: size}}, parameters={"M": 100.0, "Fv": 180.0}) for seed in (3, 4)]
+    check(diagnose(AXIS, *made), key, name, size)
+
+
+@pytest.mark.parametrize("key", ROBOT_CASES)
+def test_what_the_robot_lacks_is_named_with_its_size_and_its_gain_on_other_records(key):
+    name, size = ROBOT_CASES[key]
+    effects = {key: {name: size}}
+    check(diagnose(ROBOT, robot_records(3, effects), robot_records(4, effects)), key, name, size)
+
+
+@pytest.mark.xfail(reason="noise levels are not tuned to the end beside a delay, a second cause explains what is left")
+def test_a_dead_time_of_one_sample_is_named_alone():
+    effects = {"input-delay@u": {"time": 0.02}}
+    check(diagnose(ROBOT, robot_records(3, effects), robot_records(4, effects)), "input-delay@u", "time", 0.02)
+
+
+def test_a_periodic_effect_is_named_with_its_amplitude_and_order():
+    each = [{"torque-ripple@slide": {"cosine": 10.0 * np.cos(a), "sine": 10.0 * np.sin(a), "order": 5.0}} for a in (0.0, 2.0)]
+    (cause,) = diagnose(AXIS, axis_records(3, each, force=25.0)).causes
+    assert cause.key == "torque-ripple@slide"
+    assert cause.parameters["amplitude"].value == pytest.approx(10.0, rel=0.15)
+    assert cause.parameters["order"].value == 5.0
+
+
+def test_what_cannot_be_told_apart_is_said_to_tie():
+    (cause,) = diagnose(ROBOT, robot_records(3, {"rail-tilt@rail": {"level": 0.3}})).causes
+    assert {cause.key, *cause.ties} >= {"rail-tilt@rail", "offset@u"}
+    assert cause.evidence.posterior < 0.7
+    assert cause.evidence.posterior + sum(cause.ties.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_nothing_is_named_where_nothing_is_missing_but_parameters_are_off(seed):
+    spread = np.random.default_rng(seed).uniform(0.85, 1.15, 2)
+    plant, data = (
+        (AXIS, axis_records(600 + seed, parameters={"M": 95.0 * spread[0], "Fv": 200.0 * spread[1]}))
+        if seed % 2
+        else (ROBOT, robot_records(600 + seed, parameters={"m1": spread[0], "c": 4.0 * spread[1]}))
+    )
+    found = diagnose(plant, data)
+    assert found.finding is Finding.NOTHING
+    assert found.causes == ()
+    assert found.effects == {}
+    limits = {d.effect: d.value for d in found.limits}
+    assert 0.0 < limits["coulomb"] < (30.0 if plant is AXIS else 0.3)  # and it says what would have been seen
+
+
+def test_an_effect_that_nothing_excites_is_said_to_be_untestable():
+    moved, still = (diagnose(ROBOT, robot_records(1, samples=300, swing=swing)) for swing in (1.2, 0.0))
+    assert "arm-reaction" in {u.effect for u in still.untestable} - {u.effect for u in moved.untestable}
+    assert "arm-reaction" in {d.effect for d in moved.limits} - {d.effect for d in still.limits}
+
+
+def test_the_winder_names_a_dry_friction_on_its_unwinder():
+    effects = {"coulomb@unwind": {"level": 0.004}}
+    plan = EXPERIMENTS["web-winding"]["staircase"]
+    run = simulate(WEB_WINDING, plan.controller, plan.scenario(3), effects=effects)
+    found = diagnose(WEB_WINDING, Dataset((run.experiment,)))
+    assert found.causes[0].key == "coulomb@unwind"
+    level = found.causes[0].parameters["level"]
+    assert level.low <= 0.004 <= level.high or level.value == pytest.approx(0.004, rel=0.1)

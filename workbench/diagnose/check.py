@@ -1,0 +1,357 @@
+"""Are these records of this plant at all? What would be diagnosed as missing physics and is a slip of the hand is refused here.
+
+    d(y, z) = |log(std y / std z)| + 2 (1 - corr(y, z))
+
+tells a measured channel y from a free run z of the plant under the logged inputs: 0 where they follow one course. It is taken of
+the whole channels and of their fast parts, around a moving average: what a free run misses most is slow. No missing physics turns
+a channel into another, or makes it 9.55 times as large while it follows the same course.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from workbench.data import SAME_DT, Channel, Dataset, Experiment
+from workbench.errors import InputError
+from workbench.physics.controller import Playback
+from workbench.physics.plant import Plant
+from workbench.readers import UNITS, check_units
+from workbench.records import field, record
+from workbench.simulate import Scenario, simulate_batch
+
+PER_UNKNOWN = 10  # samples for each state and each parameter that is open
+MOVES = 2.0  # a channel whose spread around a line is less than so many standard deviations of its noise stands still
+STUCK = 0.5  # share of samples at one end of its range that makes a channel useless
+NEAR = 0.25  # a ratio of spreads is a unit's factor f if it is within f**NEAR of it
+APART = 6.0  # units closer to each other than this factor are not told by size
+ALIKE = 0.9  # correlation above which two channels follow one course
+UNLIKE = 0.3  # and below which one does not explain the other
+LEAVES = 0.1  # share of the record that a free run must last to be compared with
+WORST = 2.0  # what one output adds to the distance of a run at most
+SLOW = 40  # moving averages over a record: its length by this number
+TURNS = 4 * np.pi  # rad: an angle that moves on its own and goes further is in degrees
+
+
+@record
+class Note:
+    """One sentence on a record's channel that does not keep it from being used."""
+
+    record: str
+    channel: str
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.record}, {self.channel}: {self.sentence}" if self.channel else f"{self.record}: {self.sentence}"
+
+
+def check(plant: Plant, dataset: Dataset) -> tuple[Note, ...]:
+    """Refuse records that cannot be of `plant`, or from which nothing can be learned; what is merely odd is returned.
+
+    Raises InputError for missing channels, units that are not the plant's (declared, or told by the size of a channel), records
+    that are too short, outputs that stand still or at their stops, inputs that do not move, channels that have changed places,
+    and records that the plant explains in no channel.
+    """
+    units = {c.name: c.unit for c in (*plant.inputs, *plant.outputs)}
+    notes: list[Note] = []
+    for e in dataset:
+        _check_channels(plant, e)
+        check_units(e, units)
+    _check_length(plant, dataset)
+    for e in dataset:
+        notes += _still(plant, e)
+        _check_excitation(plant, e)
+        notes += _compared(plant, e)
+    return tuple(notes)
+
+
+# ---- one channel by itself -------------------------------------------------------------------------------------------
+
+
+def _check_channels(plant: Plant, e: Experiment) -> None:
+    missing = [name for name in plant.commanded if name not in e.names]
+    seen = [name for name in plant.output_names if name in e.names]
+    if missing or not seen:
+        wanted = f"inputs {', '.join(plant.commanded)} and some of {', '.join(plant.output_names)}"
+        raise InputError(
+            f"has {', '.join(e.names)}; {plant.name} needs the {wanted}",
+            file=e.name,
+            channel=", ".join(missing),
+            mend="is it a record of this machine? name its channels as the plant does",
+        )
+
+
+def _check_length(plant: Plant, dataset: Dataset) -> None:
+    states, open_parameters = len(plant.states), sum(q.tolerance > 0.0 for q in plant.parameters)
+    samples, needed = sum(len(e) for e in dataset), PER_UNKNOWN * (states * len(dataset) + open_parameters)
+    if samples < needed:
+        raise InputError(
+            f"{samples} samples are too short for {states} start values of each record and {open_parameters} parameters",
+            file=", ".join(dataset.names),
+            mend=f"give at least {needed} samples ({needed * dataset.dt:g} s)",
+        )
+
+
+def _still(plant: Plant, e: Experiment) -> Iterator[Note]:
+    """A note for every output that says nothing; an error where none is left."""
+    faults: dict[str, str] = {}
+    for name in plant.output_names:
+        if name not in e.names:
+            continue
+        y = e[name]
+        ends = np.mean(y == y.max()), np.mean(y == y.min())
+        if np.ptp(y) == 0.0:
+            faults[name] = f"is constant at {y[0]:g}"
+        elif max(ends) >= STUCK:
+            at = y.max() if ends[0] >= ends[1] else y.min()
+            faults[name] = f"sits at its stop {at:g} for {100 * max(ends):.0f} % of the record"
+    if len(faults) == sum(name in e.names for name in plant.output_names):
+        said = "; ".join(f"{name} {fault}" for name, fault in faults.items())
+        raise InputError(
+            f"no output says anything: {said}", file=e.name, mend="was the logger connected, and the range wide enough?"
+        )
+    for name, fault in faults.items():
+        yield Note(e.name, name, f"{fault}: nothing can be learned from it")
+
+
+def _check_excitation(plant: Plant, e: Experiment) -> None:
+    """Something must move beyond noise: an input, and not only along a line."""
+    moving = [name for name in plant.commanded if np.ptp(e[name]) > 0.0]
+    still = not any(_moves(e[name]) for name in (*moving, *(n for n in plant.output_names if n in e.names)))
+    if moving and not still:
+        return
+    fault = "no input moves" if not moving else "inputs and outputs move no more than their noise"
+    raise InputError(
+        f"{fault} ({', '.join(plant.commanded)})",
+        file=e.name,
+        channel=plant.commanded[0],
+        mend="nothing can be diagnosed at rest: excite the machine, with steps of the set-points or a binary sequence",
+    )
+
+
+def _moves(y: np.ndarray) -> bool:
+    """Whether a channel (N,) leaves a straight line by more than its white part, which second differences show."""
+    t = np.linspace(-1.0, 1.0, len(y))
+    spread = float(np.std(y - np.polyval(np.polyfit(t, y, 1), t)))
+    white = float(np.median(np.abs(np.diff(y, 2)))) / (0.6745 * np.sqrt(6.0))
+    return spread > MOVES * white and spread > 1e-9 * float(np.abs(y).max())
+
+
+# ---- against a free run of the plant -------------------------------------------------------------------------------------
+
+
+@record
+class Trial:
+    """The logged inputs, or these as they would be if one slip of the hand were mended; said: the slip."""
+
+    said: str
+    mend: str
+    u: np.ndarray = field("N nu")
+
+
+@record
+class Compared:
+    """The outputs seen in a record, by column of y (N, n), and a free run of the plant, z (N, n), until it leaves its range."""
+
+    file: str
+    channels: tuple[Channel, ...]
+    y: np.ndarray = field("N n")
+    z: np.ndarray = field("N n")
+
+    @property
+    def away(self) -> float:
+        """Mean distance over the outputs."""
+        if not len(self.y):
+            return WORST
+        return float(np.mean([min(nearest(y, z).distance, WORST) for y, z in zip(self.y.T, self.z.T, strict=True)]))
+
+
+@record
+class Likeness:
+    """Correlation of two channels and ratio of their spreads."""
+
+    correlation: float
+    ratio: float
+
+    @property
+    def distance(self) -> float:
+        return abs(float(np.log(self.ratio))) + 2.0 * (1.0 - self.correlation) if self.ratio > 0.0 else np.inf
+
+
+def likeness(y: np.ndarray, z: np.ndarray) -> Likeness:
+    """Of two channels (N,) as they are."""
+    a, b = y - y.mean(), z - z.mean()
+    spread, other = float(np.sqrt(np.mean(a**2))), float(np.sqrt(np.mean(b**2)))
+    if not (spread > 0.0 and other > 0.0):
+        return Likeness(0.0, 0.0)
+    return Likeness(float(np.mean(a * b) / (spread * other)), spread / other)
+
+
+def nearest(y: np.ndarray, z: np.ndarray) -> Likeness:
+    """Of two channels (N,) as a whole or of their fast parts, whichever correlate better."""
+    return max(likeness(y, z), likeness(_fast(y), _fast(z)), key=lambda one: one.correlation)
+
+
+def _fast(y: np.ndarray) -> np.ndarray:
+    """A channel (N,) around its moving average."""
+    half = max(len(y) // (2 * SLOW), 1)
+    odd = np.concatenate([2 * y[0] - y[half:0:-1], y, 2 * y[-1] - y[-2 : -half - 2 : -1]])  # a slope goes on at the ends
+    total = np.concatenate([[0.0], np.cumsum(odd - y[0])])
+    return y - y[0] - (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
+
+
+def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
+    _check_turns(plant, e)
+    trials = list(_trials(plant, e))
+    runs = [_until_it_leaves(plant, e, run) for run in _free_runs(plant, e, trials)]
+    own, lasts = runs[0], len(runs[0].y) * e.dt
+    best = min(range(len(runs)), key=lambda k: runs[k].away)
+    slips = dict(_wrong_sizes(own))
+    if slips and len(slips) < len(own.channels):  # some outputs only: it is theirs
+        raise next(iter(slips.values()))
+    if runs[best].away < 0.5 * min(own.away, 1.0):
+        either = [f"or {c.name} {slip.problem}" for c, slip in slips.items()]  # one input and one output: nobody can tell
+        raise InputError(" ".join([trials[best].said, *either]), file=e.name, mend=trials[best].mend)
+    for slip in slips.values():
+        asked = f"{slip.mend}; or is {' or '.join(plant.commanded)} in another unit?"
+        raise InputError(slip.problem, file=e.name, channel=slip.channel, mend=asked)
+    _check_limits(plant, e, own.channels)
+    if not len(own.y):
+        yield _lost(plant, e)
+        return
+    if lasts < e.dt * len(e):
+        yield Note(e.name, "", f"a free run of {plant.name} leaves its range after {lasts:g} s")
+    _check_places(own)
+    _check_explained(plant, own)
+
+
+def _lost(plant: Plant, e: Experiment) -> Note:
+    """A plant that its own limits stop at once is not driven like this; one without limits may be unstable."""
+    if plant.limits:
+        raise InputError(
+            f"driven by the logged inputs, {plant.name} leaves its range at once",
+            file=e.name,
+            mend="is it a record of this machine, and are the inputs in their places and units?",
+        )
+    return Note(e.name, "", f"a free run of {plant.name} does not last: units and places of channels were not checked by it")
+
+
+def _check_turns(plant: Plant, e: Experiment) -> None:
+    """An angle that moves on its own need not move any output: only its size tells degrees from radians."""
+    for channel in plant.inputs:
+        turns = channel.unit == "rad" and channel.role == "schedule" and channel.name in e.names
+        if turns and np.abs(e[channel.name]).max() > TURNS:
+            raise _looks_like(e.name, channel, "deg", UNITS["deg"].factor)
+
+
+def _trials(plant: Plant, e: Experiment) -> Iterator[Trial]:
+    u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
+    yield Trial("", "", u)
+    for a, b in combinations([plant.input_names.index(name) for name in plant.commanded], 2):
+        names, swapped = f"{plant.input_names[a]} and {plant.input_names[b]}", u.copy()
+        swapped[:, [a, b]] = u[:, [b, a]]
+        yield Trial(f"{names} look exchanged: the other way round the plant follows the record", f"swap {names}", swapped)
+    for unit in dict.fromkeys(c.unit for c in plant.inputs):
+        own = [i for i, c in enumerate(plant.inputs) if c.unit == unit and c.name in plant.commanded]
+        for columns in dict.fromkeys([*((i,) for i in own), tuple(own)]):
+            for other, factor in _other_units(unit):
+                scaled = u.copy()
+                scaled[:, columns] *= factor
+                names = ", ".join(plant.input_names[i] for i in columns)
+                mend = f"multiply by {factor:.6g} and write the unit [{unit}] in the header"
+                yield Trial(f"{names} looks like {other}, expected {unit}", mend, scaled)
+
+
+def _other_units(unit: str) -> Iterator[tuple[str, float]]:
+    """Units of the same quantity that can be told by size, with the factor that brings them to `unit`."""
+    own = UNITS.get(unit)
+    for name, other in UNITS.items():
+        if own and other.quantity == own.quantity and abs(np.log(other.factor / own.factor)) > np.log(APART):
+            yield name, other.factor / own.factor
+
+
+def _free_runs(plant: Plant, e: Experiment, trials: list[Trial]) -> np.ndarray:
+    """Outputs (R, N, ny) of the plant under each trial's inputs, from its own start; NaN once it has left its range."""
+    if abs(e.dt - plant.dt) > SAME_DT * plant.dt:
+        plant = replace(plant, dt=e.dt, substeps=max(1, round(plant.substeps * e.dt / plant.dt)))
+    start = {}
+    for name in plant.output_names:
+        low, high = plant.limits.get(name, (np.inf, -np.inf))
+        if name in e.names and low < e[name][0] < high:
+            start[name] = float(e[name][0])
+    scenarios = [Scenario(e.name, dict(zip(plant.input_names, t.u.T, strict=True)), start=start) for t in trials]
+    with np.errstate(over="ignore", invalid="ignore"):  # a volt taken for a millivolt runs away
+        return simulate_batch(plant, Playback(plant.input_names, plant.dt), scenarios, threads=1).measured
+
+
+def _until_it_leaves(plant: Plant, e: Experiment, run: np.ndarray) -> Compared:
+    """The run (N, ny) beside the record, over no samples where it leaves the plant's range too soon to be compared with."""
+    seen = [i for i, name in enumerate(plant.output_names) if name in e.names and np.ptp(e[name]) > 0.0]
+    out = ~np.isfinite(run).all(axis=1)
+    lasts = int(np.argmax(out)) if out.any() else len(e)
+    n = lasts if lasts > max(LEAVES * len(e), 20) else 0
+    channels = tuple(plant.outputs[i] for i in seen)
+    return Compared(e.name, channels, e[[c.name for c in channels]][:n], run[:n][:, seen])
+
+
+def _wrong_sizes(own: Compared) -> Iterator[tuple[Channel, InputError]]:
+    """Outputs that follow the run at the size of another unit."""
+    for channel, y, z in zip(own.channels, own.y.T, own.z.T, strict=True) if len(own.y) else ():
+        like, units = nearest(y, z), dict(_other_units(channel.unit))
+        if like.correlation < ALIKE or not units:
+            continue
+        off = {other: abs(float(np.log(like.ratio * factor))) for other, factor in units.items()}
+        other = min(off, key=lambda name: off[name])
+        if off[other] < NEAR * abs(np.log(units[other])):
+            yield channel, _looks_like(own.file, channel, other, units[other])
+
+
+def _looks_like(file: str, channel: Channel, other: str, factor: float) -> InputError:
+    mend = f"multiply the column by {factor:.6g} and write {channel} in the header"
+    return InputError(f"looks like {other}, expected {channel.unit}", file=file, channel=channel.name, mend=mend)
+
+
+def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) -> None:
+    """A measured state that is outside what the plant's equation is for at half of the samples or more."""
+    for channel in channels:
+        low, high = plant.limits.get(channel.name, (-np.inf, np.inf))
+        middle = float(np.median(e[channel.name]))
+        if low <= middle <= high:
+            continue
+        for other, factor in _other_units(channel.unit):
+            if low <= middle * factor <= high:
+                raise _looks_like(e.name, channel, other, factor)
+        raise InputError(
+            f"is {middle:.4g} {channel.unit} half of the time, {plant.name} stays within [{low:g}, {high:g}] {channel.unit}",
+            file=e.name,
+            channel=channel.name,
+            mend="is it a record of this machine?",
+        )
+
+
+def _check_places(own: Compared) -> None:
+    d = np.array([[likeness(y, z).distance + _level(y, z) for z in own.z.T] for y in own.y.T])
+    for i, j in combinations(range(len(d)), 2):
+        as_is, exchanged = d[i, i] + d[j, j], d[i, j] + d[j, i]
+        if max(d[i, j], d[j, i]) < 0.5 and exchanged < 0.3 * as_is and as_is > 1.0:
+            names = f"{own.channels[i].name} and {own.channels[j].name}"
+            raise InputError(f"{names} look exchanged: each follows the other's simulation", file=own.file, mend=f"swap {names}")
+
+
+def _level(y: np.ndarray, z: np.ndarray) -> float:
+    """Distance of the means in spreads, 1 at most."""
+    return min(abs(float(np.mean(y) - np.mean(z))) / float(np.std(y) + np.std(z)), 1.0)
+
+
+def _check_explained(plant: Plant, own: Compared) -> None:
+    """A reel's radius grows whatever turns it: what only drifts explains nothing."""
+    counted = [i for i, c in enumerate(own.channels) if c.role != "schedule"]
+    alike = [nearest(own.y[:, i], own.z[:, i]).correlation for i in counted]
+    if counted and max(alike) < UNLIKE:
+        names = ", ".join(own.channels[i].name for i in counted)
+        raise InputError(
+            f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {max(alike):.2f})",
+            file=own.file,
+            mend="is it a record of this machine, and are the channels in their places?",
+        )

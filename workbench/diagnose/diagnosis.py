@@ -1,0 +1,467 @@
+"""Diagnosis: what a simulation gets wrong about measured records, its cause, its size, and what naming it gains.
+
+recalibrate -> screen -> refit -> confirm -> extend, again while something is found -> drop and swap -> remainder -> answer
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.data import Dataset
+from workbench.diagnose.answer import (
+    Cause,
+    Diagnosis,
+    Estimate,
+    Evidence,
+    Finding,
+    Limit,
+    NextExperiment,
+    Remainder,
+    Untestable,
+)
+from workbench.diagnose.check import check
+from workbench.diagnose.confirm import left_out, stability
+from workbench.diagnose.experiments import Template, deciding
+from workbench.diagnose.gains import errors_on, gained
+from workbench.diagnose.predictor import predictor
+from workbench.diagnose.recalibrate import recalibrated
+from workbench.diagnose.refit import Model, refit, settled, shortlist, without
+from workbench.diagnose.remainder import Left, remainder
+from workbench.diagnose.rounding import Rounded, limit, rounded
+from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
+from workbench.physics.plant import EffectSizes, Plant, Slot
+from workbench.records import record
+
+ALPHA = SIGNIFICANT  # family-wise, of the screen and of the remainder where nothing is named
+LEFT_OVER = 1e-4  # the same, where something is named
+WORTH = 6.0  # BIC by which a cause must be better
+TIE = 10.0  # BIC within which rivals are a tie
+PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
+LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
+CLOSE = 60.0  # BIC below which a model is given noise levels of its own before it is judged
+SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
+MOST = 3
+LONG_RUN = 0.2  # share of the error a second ahead
+ROUNDED = "quantisation"
+
+
+@record
+class Step:
+    """A cause as it was accepted: models before and after, its score, rivals by BIC, and how it held on what was left out."""
+
+    key: str
+    before: Model
+    after: Model
+    score: Score
+    rivals: dict[str, float]
+    gain: float
+    stable: float
+    near: tuple["Step", ...] = ()  # the same step with a rival that ties
+
+
+def diagnose(
+    plant: Plant,
+    dataset: Dataset,
+    held_out: Dataset | None = None,
+    *,
+    templates: Sequence[Template] = (),
+    drift: bool | None = None,
+    threads: int = 1,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """What `plant` lacks to explain the records of `dataset`; gains are of `held_out`, or of `dataset` where there is none.
+
+    templates: experiments that the machine could run, among which the one is sought that would tell causes apart which tie.
+    drift: whether torques that nobody logged may come and go as noise. Such a noise may take in what changes at reversals only,
+    friction and offset: where it leaves something that no effect explains, the search is made again without it, and counts if
+    what it names helps a second ahead (None, the default). Raises InputError for records that cannot be of this plant; see
+    `check`.
+    """
+    began = time.perf_counter()
+    notes = [str(note) for note in check(plant, dataset)]
+    found = _searched(plant, dataset, drift is not False, threads, progress)
+    if drift is None and found.finding is Finding.UNKNOWN:
+        progress("again, without torques that come and go")
+        again = _searched(plant, dataset, False, threads, progress)
+        if again.steps and _helps_a_second_ahead(again, dataset):
+            found = again
+            notes.append(
+                "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
+            )
+    base, model, steps, tested = found.base, found.model, found.steps, found.tested
+    progress("gains on held-out records")
+    errors = {id(m): errors_on(m, held_out or dataset) for s in steps for m in (s.before, s.after)}
+    causes = tuple(_cause(plant, s, model, gained(errors[id(s.before)], errors[id(s.after)])) for s in steps)
+    rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
+    whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
+    return Diagnosis(
+        plant=plant.name,
+        finding=Finding.NAMED if rounds and found.finding is Finding.NOTHING else found.finding,
+        causes=(*causes, *rounds),
+        recalibrated=_parameters(model),
+        untestable=_untestable(base, tested),
+        limits=(*_limits(plant, tested), *_rounding_limits(base)),
+        remainder=tuple(_remainder(x, whole) for x in found.left[:5] if x.p_family < ALPHA),
+        next_experiment=_next(steps, templates),
+        effects={**_effects(model), **{c.key: {name: e.value for name, e in c.parameters.items()} for c in rounds}},
+        parameters={q.name: float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
+        tested=tuple(s.variant.key for s in tested),
+        similarity=similarity(tested),
+        notes=(*notes, *_beyond(model)),
+        seconds=time.perf_counter() - began,
+    )
+
+
+@record
+class _Found:
+    """What a search found: the base model, the steps from it, what is left, and the signatures of all effects at the base."""
+
+    base: Model
+    steps: tuple[Step, ...]
+    left: tuple[Left, ...]
+    tested: tuple[Signature, ...]
+
+    @property
+    def model(self) -> Model:
+        return self.steps[-1].after if self.steps else self.base
+
+    @property
+    def finding(self) -> Finding:
+        return _finding(self.steps, self.left, self.model)
+
+
+def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progress: Callable[[str], None]) -> _Found:
+    """Recalibrate, search, drop, and look at what is left."""
+    progress("recalibrating")
+    made = recalibrated(predictor(plant, dataset, drift=drift, threads=threads))
+    base = Model(made.predictor, made.fit)
+    search = _Search([slot.key for slot in base.predictor.plant.slots], np.zeros(len(plant.slots)), progress)
+    steps = search.path(base, [])
+    if steps and (len(steps) > 1 or steps[0].stable < LEFT_OVER):
+        # what a rival of the first cause explains alone may have taken two
+        for rival in steps[0].near:
+            other = search.path(base, [rival])
+            if other[-1].after.bic < steps[-1].after.bic:
+                steps = other
+    if len(steps) > 1:
+        progress("dropping")
+        steps = _pruned(base, steps, search.sizes)
+    progress("what is left")
+    left = remainder(steps[-1].after if steps else base)
+    return _Found(base, tuple(steps), tuple(left), tuple(search.tested))
+
+
+def _helps_a_second_ahead(found: _Found, dataset: Dataset) -> bool:
+    """Whether what was named takes LONG_RUN off the errors a second ahead, as a geometric mean over channels and records."""
+    ratios = [
+        g.after / g.before
+        for g in gained(errors_on(found.base, dataset), errors_on(found.model, dataset))
+        if g.horizon == "one-second" and g.before > 0.0 and np.isfinite(g.after)
+    ]
+    return bool(ratios) and float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12))))) < 1.0 - LONG_RUN
+
+
+class _Search:
+    """Greedy paths through the catalogue from one base; remembers the steps of its differences and the first screen."""
+
+    def __init__(self, keys: Sequence[str], sizes: np.ndarray, progress: Callable[[str], None]):
+        self.keys, self.sizes, self.progress = list(dict.fromkeys(keys)), sizes, progress
+        self.tested: list[Signature] = []
+
+    def path(self, base: Model, steps: list[Step]) -> list[Step]:
+        """`steps` and further ones, as long as something is found."""
+        steps = list(steps)
+        while len(steps) < MOST:
+            model = steps[-1].after if steps else base
+            self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
+            found = self.screened(model)
+            if not found or found[0].p_family > ALPHA:
+                break
+            step = _step(model, found, self.sizes, steps, self.progress)
+            if step is None:
+                break
+            steps.append(step)
+        return steps
+
+    def screened(self, model: Model) -> list[Score]:
+        """Score tests of every effect that the model does not hold yet."""
+        self.sizes = small_sizes(model.predictor, model.fit, self.sizes)
+        found = _screened(model, [k for k in self.keys if k not in model.keys], self.sizes)
+        if not self.tested:
+            self.tested = _shown_best(model, found, self.sizes)
+        return found
+
+
+def _screened(model: Model, keys: Sequence[str], sizes: np.ndarray) -> list[Score]:
+    """Score tests of the effects `keys` that the channels of the records could show."""
+    tried = variants(model.predictor, model.fit, [k for k in keys if _measurable(model, k)])
+    felt = [v for v in tried if not np.isnan(v.finite) or all(sizes[s] > 0.0 for s in v.sizes)]
+    return scores(signatures(model.predictor, model.fit, felt, sizes))
+
+
+def _measurable(model: Model, key: str) -> bool:
+    """A sensor that nobody logged cannot be wrong; a rounded one is told by its values, not by a fit."""
+    plant = model.predictor.plant
+    slot = next(s for s in plant.slots if s.key == key)
+    if slot.effect.family != "sensor":
+        return True
+    if slot.effect.id == ROUNDED:
+        return False
+    j = plant.output_names.index(slot.place)
+    return any(np.isfinite(r.y[:, j]).any() for r in model.predictor.records)
+
+
+def _step(model: Model, found: Sequence[Score], sizes: np.ndarray, steps: Sequence[Step], progress) -> Step | None:
+    """The best extension of the model by one effect, if it holds; None otherwise."""
+    short = shortlist([s for s in found if s.p_family < ALPHA])
+    progress(f"refitting {', '.join(s.key for s in short)}")
+    trials = sorted(((refit(model, s, sizes), s) for s in short), key=lambda pair: pair[0].bic)
+    near = [pair for pair in trials if pair[0].bic < trials[0][0].bic + max(30.0, 0.1 * (model.bic - trials[0][0].bic))][:3]
+    finals = sorted(((settled(trial, sizes), score) for trial, score in near), key=lambda pair: pair[0].bic)
+    for best, score in finals:
+        gain = model.bic - best.bic
+        if gain < WORTH or not _practical(model, best) or not _of_its_own(model.predictor.plant, score.key, gain, steps):
+            continue
+        if not left_out(model, best).holds:
+            continue
+        rivals = {s.key: trial.bic - best.bic for trial, s in finals if s.key != score.key}
+        rivals |= {s.key: trial.bic - trials[0][0].bic for trial, s in trials if s.key not in rivals and s.key != score.key}
+        near = tuple(
+            Step(s.key, model, trial, s, {score.key: best.bic - trial.bic}, model.bic - trial.bic, stability(trial, s.key))
+            for trial, s in finals
+            if s.key != score.key and trial.bic - best.bic < TIE
+        )
+        return Step(score.key, model, best, score, rivals, gain, stability(best, score.key), near)
+    return None
+
+
+def _practical(before: Model, after: Model) -> bool:
+    """Whether the likelihood gains what an explained share of PRACTICAL of the squared errors would."""
+    return before.deviance - after.deviance > PRACTICAL * before.predictor.samples
+
+
+def _of_its_own(plant: Plant, key: str, gain: float, steps: Sequence[Step]) -> bool:
+    """A small gain at the place of an earlier cause is that cause's form, not another cause."""
+    slots = {slot.key: slot for slot in plant.slots}
+    own = slots[key]
+
+    def least(first: Slot) -> float:
+        return SAME_CURVE if first.effect.domain is own.effect.domain else LIKE_THE_FIRST
+
+    return all(gain > least(slots[s.key]) * s.gain for s in steps if slots[s.key].place == own.place)
+
+
+def _pruned(base: Model, steps: list[Step], sizes: np.ndarray) -> list[Step]:
+    """Steps without those that the others make superfluous, each with what it gains beside all others."""
+    model = steps[-1].after
+    while len(steps) > 1:
+        lesser = {step.key: _without(model, step.key, sizes) for step in steps}
+        weakest = min(lesser, key=lambda key: lesser[key].bic)
+        if lesser[weakest].bic - model.bic >= WORTH:
+            return [
+                replace(
+                    step,
+                    before=lesser[step.key],
+                    after=model,
+                    gain=lesser[step.key].bic - model.bic,
+                    stable=stability(model, step.key),
+                )
+                for step in steps
+            ]
+        model, steps = settled(lesser[weakest], sizes), [s for s in steps if s.key != weakest]
+    return [replace(steps[0], before=base, after=model, gain=base.bic - model.bic, stable=stability(model, steps[0].key))]
+
+
+def _without(model: Model, key: str, sizes: np.ndarray) -> Model:
+    """The model without an effect, with noise levels of its own where it comes close."""
+    less = without(model, key, sizes)
+    return settled(less, sizes) if less.bic - model.bic < CLOSE else less
+
+
+def _finding(steps: Sequence[Step], left: Sequence[Left], model: Model) -> Finding:
+    worst = min((x.p_family for x in left), default=1.0)
+    if not steps:
+        return Finding.UNKNOWN if worst < ALPHA and _visible(left, model) else Finding.NOTHING
+    if worst < LEFT_OVER and _visible(left, model):
+        strongest = max(x.statistic for x in left if x.p_family < LEFT_OVER)
+        unstable = any(s.stable < LEFT_OVER for s in steps)
+        return Finding.UNKNOWN if strongest > 0.1 * sum(s.gain for s in steps) and unstable else Finding.INCOMPLETE
+    return Finding.INCOMPLETE if any(s.stable < LEFT_OVER for s in steps) else Finding.NAMED
+
+
+def _visible(left: Sequence[Left], model: Model) -> bool:
+    """Whether what is left is of practical size."""
+    return max(x.statistic for x in left) > PRACTICAL * model.predictor.samples
+
+
+def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
+    effect, place = step.key.split("@")
+    slot = next(s for s in plant.slots if s.key == step.key)
+    near = {key: gap for key, gap in step.rivals.items() if gap < TIE}
+    weights = {key: float(np.exp(-0.5 * max(gap, 0.0))) for key, gap in near.items()}
+    total = 1.0 + sum(weights.values())
+    return Cause(
+        effect=effect,
+        place=place,
+        sentence=slot.effect.sentence.format(place=place),
+        parameters=_sizes(model, step.key),
+        gains=gains,
+        evidence=Evidence(step.gain, step.score.p_family, 1.0 / total),
+        ties={key: w / total for key, w in sorted(weights.items(), key=lambda item: -item[1])},
+        stability=step.stable,
+    )
+
+
+def _rounded(plant: Plant, r: Rounded) -> Cause:
+    """A rounded channel as a cause: it gains nothing in prediction, it says how good a prediction can be."""
+    slot = next(s for s in plant.slots if s.effect.id == ROUNDED and s.place == r.channel)
+    step = Estimate(r.step, r.step, r.step, r.unit)
+    evidence = Evidence(float(r.samples), 0.0, 1.0)
+    return Cause(ROUNDED, r.channel, slot.effect.sentence.format(place=r.channel), {slot.parameter.name: step}, (), evidence)
+
+
+def _rounding_limits(base: Model) -> tuple[Limit, ...]:
+    outputs = base.predictor.plant.outputs
+    return tuple(
+        Limit(ROUNDED, channel.name, limit(base.predictor, j), channel.unit)
+        for j, channel in enumerate(outputs)
+        if any(np.isfinite(r.y[:, j]).any() for r in base.predictor.records)
+    )
+
+
+def _next(steps: Sequence[Step], templates: Sequence[Template]) -> NextExperiment | None:
+    """The experiment that decides the closest tie; None where nothing ties."""
+    for step in steps:
+        for rival in step.near:
+            slot = next(s for s in step.after.predictor.plant.slots if s.key == step.key)
+            return deciding(step.after, rival.after, (step.key, rival.key), templates, slot.effect.separates)
+    return None
+
+
+def _beyond(model: Model) -> list[str]:
+    """A sentence for every parameter that had to leave its tolerance."""
+    unknowns, plant = model.fit.unknowns, model.predictor.plant
+    said = []
+    for j, i in enumerate(unknowns.parameters):
+        q, now = plant.parameters[i], float(model.fit.point.p[i])
+        if abs(model.fit.z[j]) > 1.5 * np.sqrt(3.0):
+            said.append(
+                f"{q.name} ({q.meaning or 'parameter'}) is {now:.4g} {q.unit}, {100 * (now / q.value - 1):+.0f} % off the data "
+                f"sheet, which leaves {100 * q.tolerance:.0f} % open"
+            )
+    return said
+
+
+def _spread(model: Model) -> np.ndarray:
+    """Standard deviations of the unknowns: the larger of the likelihood's and of the scores of blocks of a second (sandwich)."""
+    fit, unknowns = model.fit, model.fit.unknowns
+    meat = np.diag(unknowns.believed.astype(float))
+    length = max(5, round(1.0 / model.predictor.plant.dt))
+    for i, (J, e) in enumerate(zip(fit.jacobian, fit.errors, strict=True)):
+        own, ny = unknowns.columns(i), e.shape[1]
+        first = ny * np.arange(0, max(1, len(e) - length // 2), length)
+        g = np.add.reduceat(J * e.ravel()[:, None], first, axis=0)
+        meat[np.ix_(own, own)] += g.T @ g
+    C = fit.covariance
+    return np.sqrt(np.maximum(np.diag(C), np.diag(C @ meat @ C)))
+
+
+def _sizes(model: Model, key: str) -> dict[str, Estimate]:
+    """Sizes and fitted shapes of an effect with 95 % intervals; of one with a phase, its amplitude."""
+    unknowns, plant = model.fit.unknowns, model.predictor.plant
+    sd, z = _spread(model), model.fit.z
+    at, found = unknowns.size - unknowns.split[2], {}
+    for t in unknowns.terms:
+        if t.key == key:
+            if t.phase:
+                pair = z[at : at + 2]
+                size = float(np.linalg.norm(pair))
+                C = model.fit.covariance[at : at + 2, at : at + 2]
+                ratio = max(1.0, float(np.max(sd[at : at + 2] ** 2 / np.diag(C))))
+                width = 1.96 * float(np.sqrt(ratio * pair @ C @ pair)) / max(size, 1e-300)
+                found["amplitude"] = Estimate(size, max(0.0, size - width), size + width, plant.slots[t.sizes[0]].parameter.unit)
+            else:
+                for j, slot in enumerate(t.sizes):
+                    q, value, width = plant.slots[slot].parameter, float(z[at + j]), 1.96 * float(sd[at + j])
+                    found[q.name] = Estimate(value, max(q.low, value - width), min(q.high, value + width), q.unit)
+            for j, slot in enumerate(t.free, start=at + len(t.sizes)):
+                q, value = plant.slots[slot].parameter, float(unknowns.base[slot])
+                now, wide = value * np.exp(z[j]), 1.96 * sd[j]
+                found[q.name] = Estimate(float(now), float(now * np.exp(-wide)), float(now * np.exp(wide)), q.unit)
+            for slot in t.shapes:
+                if slot not in t.free:
+                    q, value = plant.slots[slot].parameter, float(unknowns.base[slot])
+                    found[q.name] = Estimate(value, value, value, q.unit)
+        at += t.count(unknowns.records)
+    return found
+
+
+def _parameters(model: Model) -> dict[str, Estimate]:
+    unknowns, plant, sd = model.fit.unknowns, model.predictor.plant, _spread(model)
+    found = {}
+    for j, i in enumerate(unknowns.parameters):
+        q, now, wide = plant.parameters[i], float(model.fit.point.p[i]), 1.96 * float(unknowns.sigma[j] * sd[j])
+        found[q.name] = Estimate(now, now * float(np.exp(-wide)), now * float(np.exp(wide)), q.unit, q.value)
+    return found
+
+
+def _effects(model: Model) -> EffectSizes:
+    """The effects of the extended plant; an effect with a phase has that of the first record."""
+    plant, eta = model.predictor.plant, model.fit.point.eta[0]
+    return {
+        key: {slot.parameter.name: float(eta[i]) for i, slot in enumerate(plant.slots) if slot.key == key} for key in model.keys
+    }
+
+
+def _shown_best(model: Model, found: Sequence[Score], sizes: np.ndarray) -> list[Signature]:
+    """Each effect's signature that these records show best, with its columns."""
+    best = [min(s.all, key=_most_shown).variant for s in found]
+    return signatures(model.predictor, model.fit, best, sizes, columns=True)
+
+
+def _most_shown(s: Signature) -> float:
+    """Smallest for the variant that shows at the smallest size; an actuator's limit shows best where it is highest."""
+    return -s.limit if s.variant.key.startswith("saturation@") and np.isfinite(s.limit) else s.limit
+
+
+def _at(key: str) -> tuple[str, str]:
+    """("coulomb", "unwind") of "coulomb@unwind"."""
+    effect, place = key.split("@")
+    return effect, place
+
+
+def _limits(plant: Plant, tested: Sequence[Signature]) -> tuple[Limit, ...]:
+    return tuple(
+        Limit(*_at(s.variant.key), float(s.limit), plant.slots[s.variant.sizes[0]].parameter.unit)
+        for s in tested
+        if np.isfinite(s.limit) and not _hidden(s)
+    )
+
+
+def _hidden(s: Signature) -> bool:
+    """Whether no size that can be meant would show: beyond the effect's bounds, or without any response."""
+    return not np.isfinite(s.limit) or np.trace(s.S) < 1e-12 or (not np.isnan(s.variant.finite) and s.S[0, 0] < 1.0)
+
+
+def _untestable(model: Model, tested: Sequence[Signature]) -> tuple[Untestable, ...]:
+    plant = model.predictor.plant
+    shown = {s.variant.key for s in tested if not _hidden(s)}
+    found = []
+    for key in dict.fromkeys(slot.key for slot in plant.slots):
+        if key in shown:
+            continue
+        why = "nothing that it would change was excited in these records"
+        if key.startswith(f"{ROUNDED}@"):
+            continue
+        if not _measurable(model, key):
+            why = "this channel was not measured"
+        found.append(Untestable(*_at(key), why))
+    return tuple(found)
+
+
+def _remainder(x: Left, whole: float) -> Remainder:
+    share = x.statistic / whole
+    sentence = f"{x.channel} holds something that varies with {x.variable}: {100 * share:.2g} % of the squared errors"
+    return Remainder(x.channel, x.variable, x.p_family, share, sentence, x.grid, x.curve)

@@ -1,0 +1,306 @@
+"""Fit of parameters, start states and effects to measured records by Gauss-Newton on whitened prediction errors.
+
+    minimise  sum_k |W_k e_k(theta, x0, eta)|^2 + |theta|^2 + |(x0 - start)/scale|^2
+
+Free shapes of effects (widths, time constants) are fitted as shape exp(z) with |z|^2 added: where they do not matter they stay.
+theta are the plant's parameters in units of what the data sheet leaves open, p = nominal exp(sigma theta): a tolerance of +-t is
+the prior of a uniform distribution of that half-width, sigma = t/sqrt(3). Where each record starts is a nuisance of its own.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from workbench.diagnose.predictor import Point, Predictor
+from workbench.physics.plant import Plant
+from workbench.records import field, record
+
+FARTHEST = 30.0  # of the logarithm of a parameter from nominal: a step of a singular fit must not overflow
+THETA_STEP, START_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-4, 1e-3, 1e-5
+
+
+@record
+class Term:
+    """An effect in a hypothesis: indices of its sizes and shapes in eta.
+
+    free: the shapes that are fitted too. phase: the sizes are (cosine, sine) of an angle whose zero differs between records; the
+    records share the amplitude, and every record after the first has a rotation of its own.
+    """
+
+    key: str
+    sizes: tuple[int, ...]
+    shapes: tuple[int, ...]
+    free: tuple[int, ...] = ()
+    phase: bool = False
+
+    def count(self, records: int) -> int:
+        """Number of fitted numbers with so many records."""
+        return len(self.sizes) + len(self.free) + self.phase * (records - 1)
+
+
+def term(plant: Plant, key: str, free: Sequence[int] = ()) -> Term:
+    """The term of the effect `key` of a plant, e.g. "coulomb@unwind"."""
+    own = [i for i, slot in enumerate(plant.slots) if slot.key == key]
+    shapes = tuple(i for i in own if plant.slots[i].parameter.shape)
+    sizes = tuple(i for i in own if i not in shapes)
+    return Term(key, sizes, shapes, tuple(free), getattr(plant.slots[own[0]].effect, "phase", False))
+
+
+@record
+class Unknowns:
+    """What is fitted: plant parameters (by index, with sigma), every record's start, and the terms of a hypothesis.
+
+    A vector of unknowns is [theta, starts by record, terms]; a term's numbers are its sizes, the logarithms of its free shapes
+    over those in `base`, and its rotations.
+    """
+
+    plant: Plant
+    records: int
+    parameters: tuple[int, ...]
+    sigma: np.ndarray = field("n")
+    start: np.ndarray = field("nr nx")
+    scale: np.ndarray = field("nr nx")
+    terms: tuple[Term, ...] = ()
+    nominal: np.ndarray = field("np", default_factory=lambda: np.empty(0))  # parameters that are not fitted, and where theta is 0
+    base: np.ndarray = field("ne", default_factory=lambda: np.empty(0))  # effects that are not fitted, shapes among them
+
+    @cached_property
+    def split(self) -> tuple[int, int, int]:
+        """Numbers of parameters, of start states of one record, and of the terms."""
+        return len(self.parameters), self.start.shape[1], sum(t.count(self.records) for t in self.terms)
+
+    @property
+    def size(self) -> int:
+        n, nx, k = self.split
+        return n + self.records * nx + k
+
+    @cached_property
+    def believed(self) -> np.ndarray:
+        """Which unknowns have a prior, of mean 0 and standard deviation 1: all but the sizes and rotations of terms."""
+        n, nx, _ = self.split
+        tail = [[False] * len(t.sizes) + [True] * len(t.free) + [False] * (t.phase * (self.records - 1)) for t in self.terms]
+        return np.array([True] * (n + self.records * nx) + [b for t in tail for b in t])
+
+    def columns(self, i: int) -> np.ndarray:
+        """Indices of the unknowns that record i sees."""
+        n, nx, k = self.split
+        return np.concatenate([np.arange(n), n + i * nx + np.arange(nx), n + self.records * nx + np.arange(k)])
+
+    def zero(self) -> np.ndarray:
+        """The unknowns at nominal parameters, assumed starts and the terms' present values in `base`."""
+        n, nx, _ = self.split
+        tail = [np.concatenate([self.base[list(t.sizes)], np.zeros(t.count(self.records) - len(t.sizes))]) for t in self.terms]
+        return np.concatenate([np.zeros(n + self.records * nx), *tail])
+
+    def vector(self, point: Point, terms: Sequence[np.ndarray]) -> np.ndarray:
+        """The unknowns that give `point`'s parameters and starts, with each term's own numbers."""
+        nominal = self.nominal[list(self.parameters)]
+        theta = np.log(point.p[list(self.parameters)] / nominal) / self.sigma
+        return np.concatenate([theta, ((point.start - self.start) / self.scale).ravel(), *terms])
+
+    def of_terms(self, z: np.ndarray) -> list[np.ndarray]:
+        """Each term's numbers."""
+        n, nx, _ = self.split
+        at, parts = n + self.records * nx, []
+        for t in self.terms:
+            parts.append(z[at : at + t.count(self.records)])
+            at += t.count(self.records)
+        return parts
+
+    def point(self, z: np.ndarray) -> Point:
+        """Parameters, effects and starts of a vector of unknowns."""
+        n, nx, _ = self.split
+        p = self.nominal.copy()
+        p[list(self.parameters)] *= np.exp(np.clip(self.sigma * z[:n], -FARTHEST, FARTHEST))
+        start = self.start + self.scale * z[n : n + self.records * nx].reshape(self.records, nx)
+        eta = np.repeat(self.base[None], self.records, axis=0)
+        for t, own in zip(self.terms, self.of_terms(z), strict=True):
+            k = len(t.sizes)
+            eta[:, list(t.sizes)] = own[:k]
+            eta[:, list(t.free)] = self.base[list(t.free)] * np.exp(own[k : k + len(t.free)])
+            if t.phase:
+                turn = np.concatenate([[0.0], own[k + len(t.free) :]])
+                c, s = own[:2]
+                eta[:, t.sizes[0]] = c * np.cos(turn) - s * np.sin(turn)
+                eta[:, t.sizes[1]] = c * np.sin(turn) + s * np.cos(turn)
+        return Point(p, self._bounded(eta), start)
+
+    def _bounded(self, eta: np.ndarray) -> np.ndarray:
+        low, high = (np.array([getattr(slot.parameter, side) for slot in self.plant.slots]) for side in ("low", "high"))
+        return np.clip(eta, low, high)
+
+    def clip(self, z: np.ndarray) -> np.ndarray:
+        """The unknowns with sizes and shapes inside their bounds."""
+        z = z.copy()
+        n, nx, _ = self.split
+        at = n + self.records * nx
+        for t in self.terms:
+            for j, slot in enumerate(t.sizes):
+                p = self.plant.slots[slot].parameter
+                z[at + j] = np.clip(z[at + j], p.low, p.high)
+            shapes = slice(at + len(t.sizes), at + len(t.sizes) + len(t.free))
+            z[shapes] = np.clip(z[shapes], -3.0, 3.0)
+            at += t.count(self.records)
+        return z
+
+    def steps(self, sizes: np.ndarray) -> np.ndarray:
+        """Step lengths for differences; sizes (ne): a small size of each effect."""
+        n, nx, _ = self.split
+        parts = [np.full(n, THETA_STEP), np.full(self.records * nx, START_STEP)]
+        for t in self.terms:
+            rest = [SHAPE_STEP] * len(t.free) + [ANGLE_STEP] * (t.phase * (self.records - 1))
+            parts.append(np.array([*(sizes[j] for j in t.sizes), *rest]))
+        return np.concatenate(parts)
+
+
+@record
+class Fit:
+    """Unknowns z at the end of a fit, the whitened errors there, and the Jacobian (by record, columns as in Unknowns.columns)."""
+
+    unknowns: Unknowns
+    z: np.ndarray
+    errors: tuple[np.ndarray, ...]
+    jacobian: tuple[np.ndarray, ...]
+
+    @property
+    def point(self) -> Point:
+        return self.unknowns.point(self.z)
+
+    @property
+    def prior(self) -> np.ndarray:
+        """The unknowns in standard deviations of their prior, 0 where they have none."""
+        return np.where(self.unknowns.believed, self.z, 0.0)
+
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squares of the whitened errors."""
+        return float(sum(np.sum(e**2) for e in self.errors))
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares that the fit minimises."""
+        return self.squares + float(self.prior @ self.prior)
+
+    @cached_property
+    def information(self) -> np.ndarray:
+        """J'J of the errors and the prior, (n, n)."""
+        return _normal(self.unknowns, self.jacobian, self.errors)[0]
+
+    @cached_property
+    def gradient(self) -> np.ndarray:
+        """J'e and the prior's part: 0 at a minimum."""
+        return _normal(self.unknowns, self.jacobian, self.errors)[1] + self.prior
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the unknowns, to first order."""
+        return _inverse(self.information)
+
+    def projected(self, i: int, weights: np.ndarray) -> np.ndarray:
+        """J_i weights (N ny, c): what a move of the unknowns, weights (n, c), does to the errors of record i."""
+        return self.jacobian[i] @ weights[self.unknowns.columns(i)]
+
+
+def _normal(unknowns: Unknowns, jacobian, errors) -> tuple[np.ndarray, np.ndarray]:
+    A, b = np.diag(unknowns.believed.astype(float)), np.zeros(unknowns.size)
+    for i, (J, e) in enumerate(zip(jacobian, errors, strict=True)):
+        own = unknowns.columns(i)
+        A[np.ix_(own, own)] += J.T @ J
+        b[own] += J.T @ e.ravel()
+    return A, b
+
+
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """Inverse of an information matrix, scaled to a unit diagonal; directions without information stay finite."""
+    diagonal = np.diag(A)
+    d = np.sqrt(np.where(diagonal > 1e-200, diagonal, 1.0))  # no unit where there is no information: 1/d must not overflow
+    value, vector = np.linalg.eigh(A / np.outer(d, d))
+    return (vector / np.maximum(value, 1e-13)) @ vector.T / np.outer(d, d)
+
+
+def jacobian(
+    predictor: Predictor, unknowns: Unknowns, z: np.ndarray, sizes: np.ndarray
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """(errors (N, ny), J (N ny, columns)) of every record at z: one batch of lanes a record."""
+    steps, errors, J = unknowns.steps(sizes), [], []
+    low = unknowns.size - unknowns.split[2]
+    for i in range(unknowns.records):
+        own = unknowns.columns(i)
+        moves, signed = [z], []
+        for j in own:
+            step = steps[j]
+            if j >= low and not np.array_equal(
+                unknowns.clip(z + step * (np.arange(len(z)) == j)), z + step * (np.arange(len(z)) == j)
+            ):
+                step = -step
+            signed.append(step)
+            moves.append(z + step * (np.arange(len(z)) == j))
+        points = [unknowns.point(move) for move in moves]
+        e = predictor.errors(
+            i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
+        )
+        errors.append(e[0])
+        J.append(((e[1:] - e[:1]).reshape(len(own), -1) / np.array(signed)[:, None]).T)
+    return tuple(errors), tuple(J)
+
+
+def gauss_newton(
+    predictor: Predictor,
+    unknowns: Unknowns,
+    z: np.ndarray,
+    sizes: np.ndarray,
+    *,
+    rounds: int = 3,
+    enough: float = 0.05,
+    chords: int = 3,
+) -> Fit:
+    """Minimise from z: at most `rounds` Jacobians, each for up to `chords` steps; stops where a step gains less than `enough`."""
+    z = unknowns.clip(z)
+    fit = None
+    for _ in range(rounds):
+        e, J = jacobian(predictor, unknowns, z, sizes)
+        fit = Fit(unknowns, z, e, J)
+        began = cost = fit.cost
+        A, _ = _normal(unknowns, J, e)
+        for _ in range(chords):
+            _, b = _normal(unknowns, J, fit.errors)
+            b += fit.prior
+            better = _best_step(predictor, unknowns, z, A, b, cost, J)
+            if better is None:
+                break
+            gained = cost - better.cost
+            fit, z, cost = better, better.z, better.cost
+            if gained < enough:
+                break
+        if began - cost < enough:
+            break
+    assert fit is not None
+    return fit
+
+
+def _best_step(predictor, unknowns, z, A, b, cost, J) -> Fit | None:
+    """The full step if it helps, else the best of a fan of shorter and more damped ones, side by side."""
+    scale = np.diag(np.diag(A))
+    full = _solve(A, b)
+    trials = [full]
+    tried = _evaluate(predictor, unknowns, [unknowns.clip(z - step) for step in trials], J)
+    if tried[0].cost < cost:
+        return tried[0]
+    fan = [share * full for share in (0.5, 0.2, 0.05, 0.01)]
+    fan += [_solve(A + damping * scale, b) for damping in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
+    best = min(_evaluate(predictor, unknowns, [unknowns.clip(z - step) for step in fan], J), key=lambda f: f.cost)
+    return best if best.cost < cost else None
+
+
+def _solve(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    d = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A / np.outer(d, d)
+    return np.linalg.solve(scaled + 1e-12 * np.eye(len(d)), b / d) / d
+
+
+def _evaluate(predictor: Predictor, unknowns: Unknowns, vectors: Sequence[np.ndarray], J) -> list[Fit]:
+    points = [unknowns.point(v) for v in vectors]
+    p, eta, start = (np.array([getattr(q, name) for q in points]) for name in ("p", "eta", "start"))
+    by_record = [predictor.errors(i, p, eta[:, i], start[:, i]) for i in range(unknowns.records)]
+    return [Fit(unknowns, v, tuple(e[c] for e in by_record), J) for c, v in enumerate(vectors)]

@@ -1,0 +1,130 @@
+"""What an extension gains on records: errors one step ahead, one second ahead, and over the whole record.
+
+Parameters and effects stay as they were found; where a record starts, and at which angle its periodic effects, is found on it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.data import Dataset
+from workbench.diagnose.answer import Gain
+from workbench.diagnose.fit import Unknowns, gauss_newton
+from workbench.diagnose.predictor import Point, Predictor, predictor
+from workbench.diagnose.refit import Model
+from workbench.physics import stepper
+from workbench.records import record
+
+HORIZONS = ("one-step", "one-second", "full-run")
+SETTLING = 10  # samples at the start of a record that are not counted
+LANES = 32  # starts a second ahead that run side by side
+
+
+@record
+class Score:
+    """A channel's root mean square error on a record, for one horizon."""
+
+    record: str
+    horizon: str
+    channel: str
+    unit: str
+    error: float
+
+
+def on(model: Model, dataset: Dataset) -> tuple[Predictor, Point]:
+    """A predictor of other records with the parameters, effects and noise levels of a model, and their own starts and phases."""
+    made = predictor(model.predictor.plant, dataset, threads=model.predictor.threads)
+    old = model.fit.unknowns
+    point = model.fit.point
+    n = len(made.records)
+    made = replace(made, plant=model.predictor.plant, substeps=model.predictor.substeps, entries=model.predictor.entries)
+    terms = tuple(replace(t, free=()) for t in old.terms if t.phase)
+    plant = model.predictor.plant
+    unknowns = Unknowns(
+        plant,
+        n,
+        (),
+        np.empty(0),
+        np.array([r.start for r in made.records]),
+        np.array([r.scale for r in made.records]),
+        terms,
+        point.p,
+        point.eta[0],
+    )
+    sizes = np.zeros(len(plant.slots))
+    for t in terms:
+        sizes[list(t.sizes)] = 1e-3 * np.linalg.norm(point.eta[0][list(t.sizes)])
+    z = unknowns.zero()
+    made = made.regained(unknowns.point(z), model.predictor.noise)
+    for _ in range(2 if terms else 1):
+        fit = gauss_newton(made, unknowns, z, sizes, rounds=2, enough=0.5)
+        z = _of_same_amplitude(unknowns, fit.z)
+        made = made.regained(unknowns.point(z))
+    return made, unknowns.point(z)
+
+
+def _of_same_amplitude(unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
+    """Phases are found on the record, amplitudes are not."""
+    z = z.copy()
+    at = unknowns.size - unknowns.split[2]
+    for t in unknowns.terms:
+        stated = np.linalg.norm(unknowns.base[list(t.sizes)])
+        found = np.linalg.norm(z[at : at + 2])
+        z[at : at + 2] *= stated / found if found > 0.0 else 0.0
+        at += t.count(unknowns.records)
+    return z
+
+
+def errors(made: Predictor, point: Point, i: int, horizon: str) -> np.ndarray:
+    """Errors (N, ny) of record i "one-step", "one-second" ahead or over the "full-run", NaN where there is none."""
+    r = made.records[i]
+    p, eta, start = point.p[None], point.eta[i][None], point.start[i][None]
+    if horizon == "one-step":
+        e = made.errors(i, p, eta, start, white=False)[0]
+    elif horizon == "full-run":
+        e = r.y - made._run(r, p, eta, start, stepper.Steering()).measured[0]
+    else:
+        e = _ahead(made, point, i, max(1, round(1.0 / made.plant.dt)))
+    return np.where(np.isfinite(r.y), e, np.nan)
+
+
+def _ahead(made: Predictor, point: Point, i: int, steps: int) -> np.ndarray:
+    """Prediction errors `steps` samples ahead: runs that start anew from the corrected state every so many samples."""
+    r = made.records[i]
+    N = len(r)
+    if steps >= N:
+        return np.full_like(r.y, np.nan)
+    corrected = made.corrected(i, point)
+    lanes = min(steps, LANES)
+    offsets = np.linspace(0, steps, lanes, endpoint=False).astype(int)
+    restart = np.full((N, corrected.shape[1], lanes), np.nan)
+    for c, first in enumerate(offsets):
+        restart[first::steps, :, c] = corrected[first::steps]
+    ran = made._run(
+        r, point.p[None], np.repeat(point.eta[i][None], lanes, axis=0), point.start[i][None], stepper.Steering(restart=restart)
+    )
+    e = np.full_like(r.y, np.nan)
+    for c, first in enumerate(offsets):
+        at = np.arange(first + steps, N, steps)
+        e[at] = r.y[at] - ran.measured[c][at]
+    return e
+
+
+def errors_on(model: Model, dataset: Dataset) -> tuple[Score, ...]:
+    """Root mean square errors of a model on the records of `dataset`, by record, horizon and measured channel."""
+    made, point = on(model, dataset)
+    found = []
+    for i, r in enumerate(made.records):
+        measured = np.asarray(np.isfinite(r.y).any(axis=0))
+        for horizon in HORIZONS:
+            e = errors(made, point, i, horizon)[SETTLING:, measured]
+            rms = np.sqrt(np.nanmean(e**2, axis=0)) if np.isfinite(e).any() else np.full(e.shape[1], np.nan)
+            channels = [made.plant.outputs[j] for j in np.flatnonzero(measured)]
+            found += [Score(r.name, horizon, c.name, c.unit, float(v)) for c, v in zip(channels, rms, strict=True)]
+    return tuple(found)
+
+
+def gained(before: Sequence[Score], after: Sequence[Score]) -> tuple[Gain, ...]:
+    """Errors of two models beside each other."""
+    return tuple(Gain(b.channel, b.horizon, b.error, a.error, b.unit, b.record) for b, a in zip(before, after, strict=True))

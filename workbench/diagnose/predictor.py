@@ -1,0 +1,447 @@
+"""One-step prediction of a plant along measured records, with the gain of an extended Kalman filter.
+
+    e_k = y_k - h(x_k; p, eta),   x_{k+1} = flow(x_k + K_k e_k, u_k; p, eta)      (innovations form)
+
+The gain comes from one pass along the records and is then held while parameters p and effects eta move: predictions for many
+hypotheses run side by side on the compiled step. Process noise enters as a rate of change on the states named in `entries`,
+constant over each sample: torques on shafts, rates of tension. On states that turn or slide it has a white and a coloured part,
+and the filter estimates the coloured one, d+ = a d + w: a torque that comes and goes is no missing physics. Errors are whitened,
+W_k e_k with W S W' = I.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from workbench.data import SAME_DT, Dataset, Experiment, bad_stamps
+from workbench.diagnose.kalman import Linearization, Pass, deviance, gains
+from workbench.errors import InputError, check_known
+from workbench.noise import measurement_noise
+from workbench.physics import stepper
+from workbench.physics.controller import Playback
+from workbench.physics.plant import Plant
+from workbench.records import field, record
+
+VISIBLE = 0.05  # standard deviations of a whitened error that the integrator may be off
+LOOK = 600  # samples on which that is looked at
+MEMORY = 3.0  # s, the slowest coloured torque; what is slower shall be explained
+TUNING = 0.2  # step in the logarithm of a noise level
+STEP = 1e-6  # of a state's scale, for differences of the flow
+
+
+@record
+class Record:
+    """A measured record as the predictor reads it: inputs u (N, nu), outputs y (N, ny), NaN where nothing was measured.
+
+    start (nx): where the states are before anything is known, in the light of the first measured sample; scale (nx): how far
+    off that may be.
+    """
+
+    name: str
+    u: np.ndarray = field("N nu")
+    y: np.ndarray = field(None)
+    start: np.ndarray = field("nx")
+    scale: np.ndarray = field("nx")
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+@record
+class Noise:
+    """Standard deviations: measurement (ny) of each output; process (nw) of the rate of each entry state, white per sample.
+
+    drift (nd): steps of the coloured part, of time constant `memory`, on the first nd entries.
+    """
+
+    measurement: np.ndarray = field("ny", low=0.0)
+    process: np.ndarray = field("nw", low=0.0)
+    drift: np.ndarray = field("nd", low=0.0)
+    memory: float = field("", unit="s", low=0.0, default=0.3)
+
+    def decay(self, dt: float) -> float:
+        """By how much the coloured part fades in a sample."""
+        return float(np.exp(-dt / self.memory))
+
+    @property
+    def pushes(self) -> np.ndarray:
+        """All levels that enter a state: process, drift (nw + nd)."""
+        return np.concatenate([self.process, self.drift])
+
+
+@record
+class Point:
+    """What a prediction depends on: parameters p (np), effects eta (nr, ne) and start states (nr, nx), by record."""
+
+    p: np.ndarray = field("np")
+    eta: np.ndarray = field("nr ne")
+    start: np.ndarray = field("nr nx")
+
+
+@record
+class Course:
+    """What a predictor does along a record, by sample.
+
+    x (N, nx), angle (N, na), inner (N, ni): states, angles and the effects' own states as predicted; outputs predicted (N, ny);
+    missing (N, nx): the rates of change by which the measurements correct the states, K_k e_k / dt.
+    """
+
+    x: np.ndarray = field("N nx")
+    angle: np.ndarray = field("N na")
+    inner: np.ndarray = field("N ni")
+    predicted: np.ndarray = field("N ny")
+    missing: np.ndarray = field("N nx")
+
+
+@record
+class Predictor:
+    """Predictions of `plant` along `records` with gains that were computed at `point`; see the module."""
+
+    plant: Plant
+    records: tuple[Record, ...]
+    entries: tuple[str, ...]
+    noise: Noise
+    substeps: int
+    point: Point
+    passes: tuple[Pass, ...] = ()
+    lines: tuple[Linearization, ...] = ()
+    carried: np.ndarray = field("n", default_factory=lambda: np.empty(0))  # indices of the filter's states in the full state
+    threads: int = 1
+
+    @property
+    def samples(self) -> int:
+        """Number of measured values in all records."""
+        return int(sum(np.isfinite(r.y).sum() for r in self.records))
+
+    def errors(
+        self, i: int, p: np.ndarray, eta: np.ndarray, start: np.ndarray, *, white: bool = True, drift: bool = True
+    ) -> np.ndarray:
+        """Prediction errors (R, N, ny) of record i for R hypotheses p (R, np), eta (R, ne), start (R, nx); 0 where unmeasured."""
+        r = self.records[i]
+        run = self._run(r, p, eta, start, self._steered(i, drift=drift))
+        e = r.y - run.measured
+        ran_away = ~np.isfinite(run.measured) | (np.abs(e) > 1e9)
+        e = np.where(ran_away, 1e9, np.nan_to_num(e))
+        return np.einsum("kij,rkj->rki", self.passes[i].whitening, e) if white else e
+
+    def at(self, point: Point) -> list[np.ndarray]:
+        """Whitened errors (N, ny) of every record at one point."""
+        return [self.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0] for i in range(len(self.records))]
+
+    def corrected(self, i: int, point: Point) -> np.ndarray:
+        """Full states (N, n) of record i after each sample's correction: states, angles, effects' own states, sensor memories."""
+        r, gain = self.records[i], self._gain_for_kernel(i)[:, : self._width]
+        eta = _smooth(self.plant, point.eta[i])[None]
+        run = self._run(r, point.p[None], eta, point.start[i][None], self._steered(i, full=True))
+        assert run.full is not None
+        return run.full[0] + np.einsum("kij,kj->ki", gain, np.nan_to_num(r.y - run.measured[0]))
+
+    def course(self, i: int) -> Course:
+        """States and predictions along record i at the predictor's point."""
+        r, gain, at, nx = self.records[i], self._gain_for_kernel(i), self.point, len(self.plant.states)
+        run = self._run(r, at.p[None], at.eta[i][None], at.start[i][None], self._steered(i, drift=False, full=True))
+        assert run.full is not None
+        e = np.where(np.isfinite(r.y), r.y - run.measured[0], 0.0)
+        missing = np.einsum("kij,kj->ki", gain[:, :nx], e) / self.plant.dt
+        x, angle, inner, _ = np.split(run.full[0], [nx, self._inner, self._memories], axis=1)
+        return Course(x, angle, inner, run.measured[0], missing)
+
+    def regained(self, point: Point, noise: Noise | None = None, *, rounds: int = 1) -> "Predictor":
+        """The same predictor with gains along its trajectories at `point`."""
+        new = replace(self, point=point, noise=noise or self.noise)
+        for _ in range(rounds):
+            lines = tuple(new._linearized(i) for i in range(len(new.records)))
+            passes = tuple(gains(line, new.noise.pushes, new.noise.measurement) for line in lines)
+            new = replace(new, lines=lines, passes=passes, carried=new._carried())
+        return new
+
+    def tuned(self, sweeps: int = 3) -> Noise:
+        """Noise levels of the largest likelihood: Newton steps in their logarithms, with the curvature along each of them."""
+        pieces = []
+        for i, line in enumerate(self.lines):
+            e = self.errors(i, self.point.p[None], self.point.eta[i][None], self.point.start[i][None], white=False, drift=False)[
+                0
+            ]
+            gain = self.passes[i].gain.copy()
+            gain[:, gain.shape[1] - len(self.noise.drift) :] = 0.0
+            pieces.append((line, gain, e))
+        nw, nd = len(self.noise.process), len(self.noise.drift)
+
+        def noise(z: np.ndarray) -> Noise:
+            s = np.exp(z)
+            return Noise(s[nw + nd : -1], s[:nw], s[nw : nw + nd], s[-1])
+
+        def cost(z: np.ndarray) -> float:
+            levels = noise(z)
+            a = np.exp(-self.plant.dt / levels.memory)
+            return sum(deviance(_with_decay(line, nd, a), levels.pushes, levels.measurement, gain, e) for line, gain, e in pieces)
+
+        levels = np.log(np.concatenate([self.noise.pushes, self.noise.measurement, [self.noise.memory]]))
+        measured = np.any([np.isfinite(r.y).any(axis=0) for r in self.records], axis=0)
+        free = np.flatnonzero(np.concatenate([np.ones(nw + nd, dtype=bool), measured, [nd > 0]]))
+        best = cost(levels)
+        for _ in range(sweeps):
+            step = np.zeros(len(levels))
+            for j in free:
+                up, down = (cost(levels + sign * TUNING * (np.arange(len(levels)) == j)) for sign in (1.0, -1.0))
+                slope, bend = (up - down) / (2 * TUNING), (up + down - 2 * best) / TUNING**2
+                # where nothing bends the level does not matter, or is far off: a bounded step downhill
+                step[j] = -slope / bend if bend > abs(slope) else -np.sign(slope) * (abs(slope) > 0.5)
+            began = best
+            for share in (1.0, 0.5, 0.25):
+                trial = np.clip(levels + share * step, -60.0, 60.0)
+                trial[-1] = np.clip(trial[-1], np.log(2 * self.plant.dt), np.log(MEMORY))
+                value = cost(trial)
+                if value < best:
+                    best, levels = value, trial
+                    break
+            if began - best < 1.0:
+                break
+        return noise(levels)
+
+    # ---- inside ------------------------------------------------------------------------------------------------------
+
+    def _run(self, r: Record, p, eta, start, steering: stepper.Steering) -> stepper.Trajectories:
+        R = max(len(p), len(eta), len(start))
+        wide = [np.broadcast_to(a, (R, a.shape[1])) for a in (p, eta, start)]
+        N, nothing = len(r), np.empty((R, 0))
+        lanes = stepper.Lanes(
+            parameters=wide[0],
+            effects=wide[1],
+            gains=nothing,
+            memory=nothing,
+            start=wide[2],
+            hold=np.broadcast_to(r.u[0], (R, r.u.shape[1])),
+            reference=np.broadcast_to(r.u, (R, *r.u.shape)),
+            disturbance=np.broadcast_to(np.zeros(1), (R, *r.u.shape)),
+            noise=np.broadcast_to(np.zeros(1), (R, N, len(self.plant.outputs))),
+        )
+        return stepper.run(self.plant, _player(self.plant), lanes, self.substeps, self.threads, steering)
+
+    def _gain_for_kernel(self, i: int) -> np.ndarray:
+        """The gain (N, n, ny) with a row for every angle, sensor memory and drift, 0 where the filter does not carry them."""
+        full = np.zeros((len(self.records[i]), self._width + len(self.plant.states), len(self.plant.outputs)))
+        if self.passes:
+            full[:, self.carried.astype(int)] = self.passes[i].gain
+        return full
+
+    def _steered(self, i: int, *, drift: bool = True, full: bool = False) -> stepper.Steering:
+        """Corrected by record i; without drift the coloured torques are held at 0."""
+        gain, r = self._gain_for_kernel(i), self.records[i]
+        if not drift:
+            gain[:, self._width :] = 0.0
+        return stepper.Steering(
+            observed=r.y, gain=gain, decay=np.full(len(self.plant.states), self.noise.decay(self.plant.dt)), full=full
+        )
+
+    @property
+    def _inner(self) -> int:
+        """Where the effects' own states begin in the full state."""
+        return len(self.plant.states) + len(self.plant.turning)
+
+    @property
+    def _memories(self) -> int:
+        """Where the sensor memories begin in the full state."""
+        return self._inner + len(self.plant.inner)
+
+    @property
+    def _width(self) -> int:
+        return self._memories + len(self.plant.memories)
+
+    def _active(self) -> np.ndarray:
+        """Indices in the full state that a filter carries: states, angles, and of effects that are on states and memories."""
+        plant, eta = self.plant, self.point.eta
+        on = {slot.key for slot, value in zip(plant.slots, eta.T, strict=True) if not slot.parameter.shape and value.any()}
+        inner = [self._inner + j for j, (place, effect) in enumerate(plant.inner) if f"{effect}@{place}" in on]
+        kept = [self._memories + j for j, (name, effect) in enumerate(plant.memories) if f"{effect.id}@{name}" in on]
+        return np.array([*range(self._inner), *inner, *kept], dtype=int)
+
+    def _carried(self) -> np.ndarray:
+        """Indices of all that a filter carries, in the rows of the kernel's gain: the active ones and the drifts."""
+        drifting = [self._width + self.plant.state_names.index(name) for name in self.entries[: len(self.noise.drift)]]
+        return np.concatenate([self._active(), np.array(drifting, dtype=int)])
+
+    def _linearized(self, i: int) -> Linearization:
+        """F, G, H along the corrected trajectory of record i at the point, by differences of the flow over one sample."""
+        r, plant, active = self.records[i], self.plant, self._active()
+        p, eta = self.point.p[None], _smooth(plant, self.point.eta[i])[None]
+        start, N, nx = self.point.start[i][None], len(r), len(plant.states)
+        corrected = self.corrected(i, self.point)
+        size = np.abs(corrected).max(axis=0) + np.concatenate([r.scale, np.ones(self._width - nx)])
+        entries = [plant.state_names.index(name) for name in self.entries]
+        lanes = 1 + len(active) + len(entries)
+        restart = np.repeat(corrected[:, :, None], lanes, axis=2)
+        push = np.zeros((N, nx, lanes))
+        for c, j in enumerate(active):
+            restart[:, j, 1 + c] += STEP * size[j]
+        rate = size[entries] * STEP / plant.dt
+        for c, j in enumerate(entries):
+            push[:, j, 1 + len(active) + c] = rate[c]
+        flow = self._run(r, p, np.repeat(eta, lanes, axis=0), start, stepper.Steering(restart=restart, push=push, full=True)).full
+        assert flow is not None
+        change = flow[1:, 1:, active] - flow[:1, 1:, active]  # (lanes - 1, N - 1, n)
+        F = change[: len(active)].transpose(1, 2, 0) / (STEP * size[active])
+        G = change[len(active) :].transpose(1, 2, 0) / rate
+        H = self._sensed(corrected, eta[0], active, STEP * size)
+        last = [np.concatenate([M, M[-1:]]) for M in (F, G)]
+        nd = len(self.noise.drift)
+        return _with_drift(Linearization(last[0], last[1], H, np.isfinite(r.y)), nd, self.noise.decay(plant.dt))
+
+    def _sensed(self, full: np.ndarray, eta: np.ndarray, active: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """H (N, ny, n): what a change of the carried states does to the readings of the sensors."""
+        plant, nx, first = self.plant, len(self.plant.states), self._memories
+
+        def reading(x: np.ndarray) -> np.ndarray:
+            z = [np.broadcast_to(v, len(x)) for v in plant.output(list(x[:, :nx].T), self.point.p)]
+            m = plant.remember(list(x[:, first:].T), z, z, 0.0, eta)
+            return np.column_stack([np.broadcast_to(v, len(x)) for v in plant.read(m, [0.0] * len(z), eta)])
+
+        base = reading(full)
+        H = np.empty((len(full), base.shape[1], len(active)))
+        for c, j in enumerate(active):
+            moved = full.copy()
+            moved[:, j] += step[j]
+            H[:, :, c] = (reading(moved) - base) / step[j]
+        return H
+
+
+def _with_drift(line: Linearization, nd: int, decay: float) -> Linearization:
+    """The first nd pushes with a coloured part of their own: states d+ = decay d + w that push like them."""
+    N, n, nw = line.G.shape
+    F, G = np.zeros((N, n + nd, n + nd)), np.zeros((N, n + nd, nw + nd))
+    F[:, :n, :n], F[:, :n, n:], F[:, n:, n:] = line.F, line.G[:, :, :nd], decay * np.eye(nd)
+    G[:, :n, :nw], G[:, n:, nw:] = line.G, np.eye(nd)
+    return Linearization(F, G, np.concatenate([line.H, np.zeros((N, line.H.shape[1], nd))], axis=2), line.present)
+
+
+def _with_decay(line: Linearization, nd: int, decay: float) -> Linearization:
+    """The same with another fading of the coloured parts."""
+    F = line.F.copy()
+    F[:, F.shape[1] - nd :, F.shape[1] - nd :] = decay * np.eye(nd)
+    return replace(line, F=F)
+
+
+@lru_cache(maxsize=64)
+def _player(plant: Plant) -> Playback:
+    """One and the same controller for a plant: kernels are looked up by it."""
+    return Playback(plant.input_names, plant.dt)
+
+
+def _smooth(plant: Plant, eta: np.ndarray) -> np.ndarray:
+    """The effects without the rounding of sensors: a staircase has no slope that a filter could use."""
+    rounding = [s.effect.id == "quantisation" for s in plant.slots]
+    return np.where(rounding, 0.0, eta)
+
+
+def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int = 1) -> Predictor:
+    """A predictor of `plant` along the records at its nominal parameters, with gains from its stated noise.
+
+    drift: whether torques may have a coloured part; without, whatever comes and goes is to be explained.
+    """
+    if abs(dataset.dt - plant.dt) > SAME_DT * plant.dt:
+        plant = replace(plant, dt=dataset.dt, substeps=max(1, round(plant.substeps * dataset.dt / plant.dt)))
+    records = tuple(_prepared(plant, e) for e in dataset)
+    eta = np.repeat(plant.effect_vector()[None], len(records), axis=0)
+    point = Point(plant.nominal, eta, np.array([r.start for r in records]))
+    entries = _entries(plant)
+    noise = _first_noise(plant, dataset, entries)
+    noise = noise if drift else replace(noise, drift=np.empty(0))
+    made = Predictor(plant, records, entries, noise, plant.substeps, point, threads=threads)
+    return _first_gains(made)
+
+
+def _first_gains(made: Predictor) -> Predictor:
+    """Gains from the linearization at the start, held; then along the trajectories that these give."""
+    lines = []
+    for i, r in enumerate(made.records):
+        short = replace(
+            made, records=(*made.records[:i], replace(r, u=np.repeat(r.u[:1], 2, 0), y=r.y[:2]), *made.records[i + 1 :])
+        )
+        line = short._linearized(i)
+        F, G, H = (np.repeat(M[:1], len(r), axis=0) for M in (line.F, line.G, line.H))
+        lines.append(Linearization(F, G, H, np.isfinite(r.y)))
+    passes = tuple(gains(line, made.noise.pushes, made.noise.measurement) for line in lines)
+    made = replace(made, lines=tuple(lines), passes=passes, carried=made._carried()).regained(made.point)
+    return _coarser(made).regained(made.point)
+
+
+def _coarser(made: Predictor) -> Predictor:
+    """As few integrator steps a sample as move no whitened error by more than VISIBLE: what is off by less is no physics."""
+    r = replace(made.records[0], u=made.records[0].u[:LOOK], y=made.records[0].y[:LOOK])
+    short = replace(made, records=(r,), passes=tuple(Pass(p.gain[:LOOK], p.whitening[:LOOK], 0.0) for p in made.passes[:1]))
+
+    def errors(substeps: int) -> np.ndarray:
+        return replace(short, substeps=substeps).errors(0, made.point.p[None], made.point.eta[:1], made.point.start[:1])[0]
+
+    fine = errors(4 * made.substeps)
+    substeps = max(1, made.substeps // 4)
+    while np.abs(errors(substeps) - fine).max() > VISIBLE and substeps < 4 * made.substeps:
+        substeps = substeps + 1 + substeps // 4
+    return replace(made, substeps=substeps)
+
+
+def _prepared(plant: Plant, e: Experiment) -> Record:
+    for name in plant.commanded:
+        check_known("channel", name, e.names, file=e.name)
+    for bad in bad_stamps(e.t, e.dt):
+        raise InputError(f"{bad.fault} stamp at {bad.before:g} s", file=e.name, mend="cut the record there with trim")
+    measured = [name for name in plant.output_names if name in e.names]
+    if not measured:
+        raise InputError(
+            f"none of the outputs {', '.join(plant.output_names)}", file=e.name, mend="name the channels as the plant does"
+        )
+    u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
+    y = np.column_stack([e[name] if name in e.names else np.full(len(e), np.nan) for name in plant.output_names])
+    start, scale = _start(plant, y[0])
+    return Record(e.name, u, y, start, scale)
+
+
+def _start(plant: Plant, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States at the first sample and how far off they may be: the plant's own start, corrected by what was measured then."""
+    x, _ = plant.equilibrium()
+    scale = 0.3 * np.abs(x) + np.where(x == 0.0, 1.0, 0.0)
+    seen = np.flatnonzero(np.isfinite(y))
+    noise = np.array([plant.noise.get(name, 0.0) for name in plant.output_names])
+    for _ in range(3):
+        C = plant.linearize(x, np.zeros(len(plant.inputs)))[2][seen]
+        z = np.array(plant.output(x, plant.nominal), dtype=float)[seen]
+        R = np.diag((1e-3 * np.abs(C) @ scale) ** 2 + noise[seen] ** 2)
+        P = np.diag(scale**2)
+        x = x + P @ C.T @ np.linalg.solve(C @ P @ C.T + R, y[seen] - z)
+    return x, scale
+
+
+def _entries(plant: Plant) -> tuple[str, ...]:
+    """States whose rate of change carries what nobody logged: those that turn or slide, and the tensions of spans.
+
+    Where a plant has no such port, every state that an input moves directly.
+    """
+    named = [port.speed for port in plant.ports if hasattr(port, "speed")]
+    named += [port.place for port in plant.ports if port.place in plant.state_names]
+    if not named:
+        x, u = plant.equilibrium()
+        moved = np.abs(plant.linearize(x, u)[1]).sum(axis=1) > 0.0
+        named = [name for name, is_moved in zip(plant.state_names, moved, strict=True) if is_moved]
+    return tuple(dict.fromkeys(named))
+
+
+def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str]) -> Noise:
+    """The plant's stated noise, or an estimate from the records; process noise as a share of what the inputs do."""
+    measured = []
+    for channel in plant.outputs:
+        own = [e for e in dataset if channel.name in e.names]
+        stated = plant.noise.get(channel.name, 0.0)
+        spread = max((float(np.std(e[channel.name])) for e in own), default=1.0)
+        estimate = measurement_noise(Dataset(tuple(own)), channel.name, plant.commanded) if own and not stated else stated
+        measured.append(max(estimate, 1e-6 * spread, 1e-12))
+    x, u = plant.equilibrium()
+    B = np.abs(plant.linearize(x, u)[1])
+    spread = np.array([max(float(np.std(e[n])) if n in e.names else 0.0 for e in dataset) for n in plant.input_names])
+    push = B @ (0.01 * spread + 1e-9)
+    process = [max(push[plant.state_names.index(name)], 1e-3 * push.max(), 1e-12) for name in entries]
+    turning = set(plant.turning.values())
+    white = np.array(process)
+    drift = np.array([0.1 * level for name, level in zip(entries, white, strict=True) if name in turning])
+    return Noise(np.array(measured), white, drift)

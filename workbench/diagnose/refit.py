@@ -1,0 +1,144 @@
+"""Models with effects: started from a score test, fitted with everything else, compared by their likelihood.
+
+deviance = sum_k (|W_k e_k|^2 + log det S_k) + prior,    BIC = deviance + (number of sizes, shapes, phases) log N
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from workbench.diagnose.fit import Fit, Term, Unknowns, _evaluate, gauss_newton
+from workbench.diagnose.predictor import Predictor
+from workbench.diagnose.screen import Score, Signature, dated_variants, signatures
+from workbench.records import record
+
+FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
+
+
+@record
+class Model:
+    """A plant with named effects, fitted: predictor with gains and noise levels of its own, and the fit."""
+
+    predictor: Predictor
+    fit: Fit
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        return self.fit.unknowns.terms
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(t.key for t in self.terms)
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers the effects add: what BIC counts."""
+        return sum(t.count(len(self.predictor.records)) for t in self.terms)
+
+    @cached_property
+    def deviance(self) -> float:
+        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost."""
+        theta = np.abs(self.fit.z[: self.fit.unknowns.split[0]])
+        beyond = np.maximum(theta - np.sqrt(3.0), 0.0)
+        return self.fit.squares + float(beyond @ beyond) + sum(p.log_det for p in self.predictor.passes)
+
+    @property
+    def bic(self) -> float:
+        samples = sum(len(r) for r in self.predictor.records)
+        return self.deviance + self.numbers * float(np.log(samples))
+
+
+def fitted_shapes(plant, key: str) -> tuple[int, ...]:
+    """Shapes that a refit moves: positive ones with a grid; a whole number per turn is scanned, not fitted."""
+    return tuple(
+        i
+        for i, slot in enumerate(plant.slots)
+        if slot.key == key
+        and slot.parameter.shape
+        and slot.parameter.grid
+        and slot.parameter.low >= 0.0
+        and slot.parameter.unit != "1/turn"
+    )
+
+
+def candidates(model: Model, score: Score, sizes: np.ndarray) -> list[Signature]:
+    """The variants worth a start: the two that promise most, of irregular effects by what their own finite size would leave.
+
+    Of an effect with a date all dates of its grid are looked at first: its likelihood has a peak at each.
+    """
+    dated = dated_variants(model.predictor, score.best.variant)
+    if dated:
+        return sorted(signatures(model.predictor, model.fit, dated, sizes), key=lambda s: -s.statistic)[:3]
+    if np.isnan(score.best.variant.finite):
+        return sorted(score.all, key=lambda s: -s.statistic)[:2]
+    return sorted(score.all, key=lambda s: 2.0 * s.b[0] + s.S[0, 0])[:3]
+
+
+def start(model: Model, signature: Signature) -> tuple[Unknowns, list[np.ndarray]]:
+    """Unknowns with the effect of a signature as a new term, and a fan of first guesses along its one-step estimate."""
+    old, v = model.fit.unknowns, signature.variant
+    plant, n = old.plant, old.records
+    base = old.base.copy()
+    for slot, value in v.shapes:
+        base[slot] = value
+    free = fitted_shapes(plant, v.key)
+    new = Term(v.key, v.sizes, tuple(slot for slot, _ in v.shapes), free, v.phase)
+    unknowns = replace(old, terms=(*old.terms, new), base=base)
+    irregular = not np.isnan(v.finite)
+    move = np.ones(1) if irregular else signature.size / signature.scale
+    guesses = []
+    for share in FAN:
+        delta = share * move
+        sizes = delta * signature.scale
+        turns = np.zeros(0)
+        if v.phase:
+            by_record = sizes[0::2] + 1j * sizes[1::2]
+            amplitude = np.sqrt(np.mean(np.abs(by_record) ** 2))
+            turns = np.angle(by_record[1:] / by_record[0])
+            first = amplitude * by_record[0] / abs(by_record[0])
+            sizes = np.array([first.real, first.imag])
+        own = np.concatenate([sizes, np.zeros(len(free)), turns])
+        guesses.append(unknowns.clip(np.concatenate([model.fit.z - signature.weights @ delta, own])))
+    del n
+    return unknowns, guesses
+
+
+def refit(model: Model, score: Score, sizes: np.ndarray, *, rounds: int = 1) -> Model:
+    """The model with the effect of a score added: the best start of all its variants, then Gauss-Newton steps."""
+    best: Fit | None = None
+    for signature in candidates(model, score, sizes):
+        unknowns, guesses = start(model, signature)
+        J = model.fit.jacobian  # stands in until the fit makes its own
+        tried = min(_evaluate(model.predictor, unknowns, guesses, J), key=lambda f: f.cost)
+        if best is None or tried.cost < best.cost:
+            best = tried
+    assert best is not None
+    fit = gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=rounds, chords=4, enough=0.5)
+    return Model(model.predictor, fit)
+
+
+def settled(model: Model, sizes: np.ndarray, *, rounds: int = 3) -> Model:
+    """The model with gains and noise levels of its own, fitted to convergence."""
+    predictor = model.predictor.regained(model.fit.point)
+    predictor = predictor.regained(model.fit.point, predictor.tuned())
+    fit = gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, rounds=rounds, enough=0.2)
+    return Model(replace(predictor, point=fit.point), fit)
+
+
+def without(model: Model, key: str, sizes: np.ndarray) -> Model:
+    """The model without one of its effects, fitted again."""
+    old = model.fit.unknowns
+    keep = [j for j, t in enumerate(old.terms) if t.key != key]
+    terms = tuple(old.terms[j] for j in keep)
+    parts = old.of_terms(model.fit.z)
+    head = model.fit.z[: old.size - old.split[2]]
+    unknowns = replace(old, terms=terms)
+    z = np.concatenate([head, *(parts[j] for j in keep)])
+    return Model(model.predictor, gauss_newton(model.predictor, unknowns, z, sizes, rounds=3, enough=0.2))
+
+
+def shortlist(found: Sequence[Score], *, share: float = 0.2, most: int = 6) -> list[Score]:
+    """The effects whose statistic is at least `share` of the best, at most `most`."""
+    return [s for s in found if s.statistic > share * found[0].statistic][:most]
