@@ -16,4 +16,10 @@ def _welding_robot() -> ModuleType:
     return welding_robot
 
 
-STUDIES: dict[str, Callable[[], ModuleType]] = {"web-winding": _web_winding, "welding-robot": _welding_robot}
+def _emps() -> ModuleType:
+    from studies import emps
+
+    return emps
+
+
+STUDIES: dict[str, Callable[[], ModuleType]] = {"web-winding": _web_winding, "welding-robot": _welding_robot, "emps": _emps}

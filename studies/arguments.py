@@ -11,11 +11,45 @@ from pathlib import Path
 from plants import PLANTS
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
+from workbench.physics.extension import load_extension
 from workbench.physics.plant import Plant
+from workbench.records import record
+
+
+@record
+class Chosen:
+    """A plant as it was asked for; base: the machine's name or the user's module:NAME; files: the plant file on top."""
+
+    plant: Plant
+    base: str
+    files: tuple[str, ...] = ()
 
 
 def find_plant(text: str) -> Plant:
-    """A machine of the workbench by name, or package.module:NAME, or file.py:NAME."""
+    """The plant that `choose_plant` finds."""
+    return choose_plant(text).plant
+
+
+def choose_plant(text: str) -> Chosen:
+    """A machine of the workbench by name, or package.module:NAME, or file.py:NAME; or a plant file that extends one of them.
+
+    A plant file never makes this program run code: alone (`extended.json`) it extends machines of the workbench only, and a plant
+    of the user's own is named before it (`my_plant.py:PLANT+extended.json`).
+    """
+    if not text.endswith(".json"):
+        return Chosen(_base_plant(text), text)
+    before, plus, path = text.rpartition("+")
+    if not plus or Path(text).is_file():
+        before, path = "", text
+    found = load_extension(path)
+    if not before and found.base not in PLANTS:
+        mend = f"if you trust that plant, name it yourself: {found.base}+{path}"
+        raise InputError(f"extends {found.base}, which is no machine of the workbench", file=path, mend=mend)
+    base = before or found.base
+    return Chosen(found.of(_base_plant(base), file=path), base, (path,))
+
+
+def _base_plant(text: str) -> Plant:
     source, colon, attribute = text.rpartition(":")
     if not colon:
         if text.endswith(".py"):

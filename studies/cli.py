@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from typing import NoReturn
 
 DONE, NEGATIVE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PLANT_HELP = "a machine of the workbench, package.module:NAME, file.py:NAME, or a plant file (NAME+extended.json)"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -72,7 +73,7 @@ def parser() -> argparse.ArgumentParser:
         "  workbench simulate web-winding --experiment prbs1 --effect coulomb@unwind:level=0.002\n"
         "  workbench simulate my_plant.py:PLANT --inputs-from record.csv",
     )
-    sub.add_argument("plant", metavar="PLANT", help="a machine of the workbench, package.module:NAME or file.py:NAME")
+    sub.add_argument("plant", metavar="PLANT", help=PLANT_HELP)
     sub.add_argument("--experiment", nargs="+", metavar="NAME", default=[], help="experiments of the machine's plan")
     sub.add_argument("--inputs-from", nargs="+", metavar="FILE", default=[], help="replay the inputs of measured records")
     sub.add_argument("--seed", type=_seed, default=0, help="seed of noise, disturbances and random set-points (default 0)")
@@ -111,14 +112,37 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--records", nargs="+", action="extend", required=True, metavar="RECORD", help="held-out records")
     sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
 
+    sub = command(
+        "calibrate",
+        "fit physical parameters of a plant to records, with the tolerances of its data sheet as prior",
+        "examples:\n  workbench calibrate a.csv b.csv --plant web-winding --holdout c.csv\n"
+        "  workbench calibrate a.csv --plant web-winding --parameters kE,D,B1 --bound kE=150:250",
+    )
+    _plant_and_records(sub)
+    sub.add_argument("--parameters", metavar="A,B", help="parameters to fit (default: all that have a tolerance)")
+    sub.add_argument("--bound", action="append", default=[], metavar="P=LOW:HIGH", help="keep a parameter within a range")
+
+    sub = command(
+        "diagnose",
+        "say what the simulation of a plant gets wrong on records, name the cause and extend the plant by it",
+        "example:\n  workbench diagnose a.csv b.csv --plant web-winding --holdout c.csv --json d.json",
+    )
+    _plant_and_records(sub)
+
     command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
 
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
-    sub.add_argument("study", metavar="STUDY", help="web-winding or welding-robot")
+    sub.add_argument("study", metavar="STUDY", help="web-winding, welding-robot or emps")
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
     sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")
     return top
+
+
+def _plant_and_records(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="measured records (CSV or MAT), channels named as in the plant")
+    sub.add_argument("--plant", required=True, metavar="PLANT", help=PLANT_HELP)
+    sub.add_argument("--holdout", nargs="+", action="extend", default=[], metavar="RECORD", help="records to measure the gain on")
 
 
 def _interval_options(sub: argparse.ArgumentParser) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from studies.arguments import check_file, find_plant, names, parse_effects, parse_numbers, run_folder
+from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder
 from studies.results import Result, scores_file
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
@@ -21,9 +21,11 @@ INTERVAL = "interval"  # the model kind beside the methods of `workbench.identif
 def run(options: Namespace) -> int:
     """Run the command that was asked for; returns the exit code."""
     check_file(options.json, "--json")
-    return {"simulate": simulate, "identify": identify, "compare": compare, "doctor": doctor, "study": study}[options.command](
-        options
-    )
+    commands = {
+        "simulate": simulate, "identify": identify, "compare": compare, "calibrate": calibrate, "diagnose": diagnose,
+        "doctor": doctor, "study": study,
+    }  # fmt: skip
+    return commands[options.command](options)
 
 
 def say(text: str = "") -> None:
@@ -45,7 +47,8 @@ def simulate(options: Namespace) -> int:
     from workbench.simulate import replay
     from workbench.simulate import simulate as run_plant
 
-    plant = find_plant(options.plant)
+    found = choose_plant(options.plant)
+    plant, machine = found.plant, found.base
     effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)
     start = parse_numbers(options.start)
     chosen = options.experiment
@@ -55,18 +58,18 @@ def simulate(options: Namespace) -> int:
         if chosen.count(name) > 1:
             raise InputError(f"experiment {name} is named twice", mend="name it once, or run again with another --seed")
     if not chosen and not options.inputs_from:
-        own = EXPERIMENTS.get(plant.name, {}) if options.plant in EXPERIMENTS else {}
+        own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}--inputs-from RECORD")
     folder = run_folder(options.out, "simulate")
-    if chosen and options.plant not in EXPERIMENTS:
+    if chosen and machine not in EXPERIMENTS:
         raise InputError(f"plant {plant.name!r} has no experiment plan", mend="give --inputs-from RECORD")
 
     summary: list[dict[str, Any]] = []
     jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
     for kind, name in jobs:
         if kind == "plan":
-            todo = plan(options.plant, name)
+            todo = plan(machine, name)
             scenario = todo.scenario(options.seed)
             scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
             applied = todo.effects_with(effects)
@@ -86,10 +89,10 @@ def simulate(options: Namespace) -> int:
             entry["scores"] = _replay_scores(plant, record, done.experiment)
         summary.append(entry)
     configuration = {
-        "plant": plant.name, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
-        "effects_of_experiments": {name: plan(options.plant, name).effects for name in chosen},
+        "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
+        "effects_of_plant": plant.effects, "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
     }  # fmt: skip
-    result = {"runs": summary, "provenance": provenance(configuration, options.inputs_from, options.seed)}
+    result = {"runs": summary, "provenance": provenance(configuration, [*options.inputs_from, *found.files], options.seed)}
     write_json(folder / "simulate.json", result)
     if options.json:
         write_json(options.json, result)
@@ -339,6 +342,23 @@ def _write(options: Namespace, folder: Path, results: Sequence[Result], configur
     title = f"{options.command}: {', '.join(result.model.name for result in results)}"
     page = write_report(comparison(title, results, tuple(shown), source), folder)
     say(f"report: {page}")
+
+
+# ---- calibrate and diagnose -----------------------------------------------------------------------------------------------
+
+
+def calibrate(options: Namespace) -> int:
+    """Fit physical parameters of a plant to records and save the plant with them."""
+    from studies import calibration
+
+    return calibration.run(options, say, progress)
+
+
+def diagnose(options: Namespace) -> int:
+    """Say what the simulation of a plant gets wrong on records, and save the plant extended by what was found."""
+    from studies import diagnosis
+
+    return diagnosis.run(options, say, progress)
 
 
 # ---- doctor and study -----------------------------------------------------------------------------------------------------
