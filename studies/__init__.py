@@ -22,4 +22,15 @@ def _emps() -> ModuleType:
     return emps
 
 
-STUDIES: dict[str, Callable[[], ModuleType]] = {"web-winding": _web_winding, "welding-robot": _welding_robot, "emps": _emps}
+def _hidden_effects() -> ModuleType:
+    from studies import hidden_effects
+
+    return hidden_effects
+
+
+STUDIES: dict[str, Callable[[], ModuleType]] = {
+    "web-winding": _web_winding,
+    "welding-robot": _welding_robot,
+    "emps": _emps,
+    "hidden-effects": _hidden_effects,
+}

@@ -383,6 +383,9 @@ def study(options: Namespace) -> int:
     from studies import STUDIES
 
     module = STUDIES[check_known("study", options.study, STUDIES)]()
+    own = {name: value for name in ("cases", "jobs") if (value := getattr(options, name)) is not None}
+    if own and options.study != "hidden-effects":
+        raise InputError(f"--{next(iter(own))} does not belong to {options.study}", mend="leave it out, or study hidden-effects")
     folder = run_folder(options.out, options.study)
     module.main(
         quick=options.quick,
@@ -392,5 +395,6 @@ def study(options: Namespace) -> int:
         json=options.json,
         say=say,
         progress=progress,
+        **own,
     )
     return 0

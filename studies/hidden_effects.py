@@ -1,26 +1,113 @@
-"""hidden-effects: how often the diagnosis is right on records in which something was hidden.
+"""How often is the diagnosis right on records in which something was hidden?
 
-Cases come from the generator in tests/hidden, which has its own equations; a case is a row of cases.jsonl, written as it is done,
-and a run that was cut off goes on where it stopped. Limits, from which sizes are drawn, are those that the diagnosis states for
-records without any effect.
+Cases come from the generator in tests/hidden, which has its own equations. A case is a row of cases.jsonl, written whole as soon
+as it is done, and a run that was cut off goes on where it stopped. Sizes are drawn in multiples of the limits that the diagnosis
+states for records without any effect. All rates are of the rows alone: see hidden_scores.
 """
 
-import json
+import hashlib
+import json as plain_json
+import math
+import multiprocessing
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from plants import PLANTS
+from studies.hidden_scores import TESTABLE, Bin, Confusion, Outcome, Row, Seconds, Share, Summary, by_machine, outcome
+from workbench.data import Dataset
 from workbench.diagnose.diagnosis import diagnose
 from workbench.errors import InputError
-from workbench.files import read_json, write_json
+from workbench.files import read_json, write_json, write_text
+from workbench.provenance import provenance, versions
+from workbench.records import record
+from workbench.report import figures
+from workbench.report.figures import Rates
+from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
 
-LIMIT_SEED = 10**6  # records without effect from which the limits of a machine are taken
+Say = Callable[[str], None]
+Limits = Mapping[str, Mapping[str, float]]  # by machine and "effect@place"
+
+LIMIT_SEED = (
+    999_999  # records without effect from which the limits of a machine are taken; on all of them every channel is logged
+)
+SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
+CASES, QUICK = 600, 30
+CONFUSIONS = 20
+
+
+@record
+class Target:
+    """A rate that the diagnosis must reach: at least, or at most where `ceiling`."""
+
+    what: str
+    rate: str  # field of Summary
+    bound: float
+    ceiling: bool = False
+
+    def reached(self, share: Share) -> bool:
+        return share.rate <= self.bound if self.ceiling else share.rate >= self.bound
+
+    def __str__(self) -> str:
+        return f"{100 * self.bound:g} % or {'less' if self.ceiling else 'more'}"
+
+
+TARGETS = (
+    Target("right name or a declared tie of three at most that holds it", "right_or_tie", 0.95),
+    Target("right name alone", "right", 0.90),
+    Target("confident wrong name", "wrong", 0.01, ceiling=True),
+    Target("nothing hidden, yet a cause named", "false_alarms", 0.01, ceiling=True),
+    Target("two effects, both found", "both", 0.80),
+    Target("two effects, a confident wrong name among the causes", "wrong_in_pairs", 0.02, ceiling=True),
+    Target("outside the catalogue, said to be unknown or incomplete", "outside", 0.85),
+    Target("true size inside its stated 95 % interval", "inside", 0.90),
+    Target("one-step error on held-out records lower after extension", "gained", 1.0),
+)
+
+
+def main(
+    quick: bool = False,
+    *,
+    folder: Path,
+    data: str | None = None,
+    seed: int = 1,
+    json: str | None = None,
+    say: Say = print,
+    progress: Say = lambda _: None,
+    cases: int | None = None,
+    jobs: int = 1,
+) -> Path:
+    """Run `cases` cases (600, 30 with `quick`) of `seed` that `folder` does not hold yet, write the report; returns its path.
+
+    Raises InputError for `data`, for a folder of another version or other limits, and outside a checkout of the workbench.
+    """
+    if data is not None:
+        raise InputError("this study makes its own records", mend="leave --data out")
+    count = cases or (QUICK if quick else CASES)
+    if count > LIMIT_SEED:
+        raise InputError(f"{count} cases", mend=f"at most {LIMIT_SEED} a seed")
+    seeds = range(SEEDS * seed, SEEDS * seed + count)
+    wanted = set(seeds)
+    rows = [row for row in run(folder, seeds, jobs, progress) if row["seed"] in wanted]
+    found = by_machine(rows)
+    source = provenance({"study": "hidden-effects", "cases": count, "quick": quick}, [folder / "cases.jsonl"], seed)
+    content = {"summary": {name: to_json(s) for name, s in found.items()}, "provenance": source}
+    for path in (folder / "summary.json", json):
+        if path:
+            write_json(path, content)
+    path = write_report(_report(rows, found, source), folder)
+    say(f"{verdict(found['all'])}\n\nreport: {path}")
+    return path
+
+
+# ---- cases ------------------------------------------------------------------------------------------------------------------
 
 
 def generator() -> Any:
@@ -35,41 +122,58 @@ def generator() -> Any:
     return case
 
 
-def limits_of(machine: str, seed: int = LIMIT_SEED) -> dict[str, float]:
-    """Detection limit of every effect of a machine, in the generator's reading, from records with nothing hidden."""
+def limits_of(machine: str, seed: int = LIMIT_SEED, records: int | None = None) -> dict[str, float]:
+    """Detection limit of every effect of a machine, in the generator's reading, from records with nothing hidden.
+
+    records: how many of them, all by default; fewer state higher limits in less time.
+    """
     case = generator()
-    kinds = case.Kind
-    drawn = case.draw(seed, machine=machine, kind=kinds.NOTHING, limits={})
-    found = diagnose(PLANTS[machine], drawn.records)
-    limits = {f"{x.effect}@{x.place}": x.value for x in found.limits}
-    for key in [k for k in limits if k.startswith("saturation@")]:
-        largest = max(float(np.abs(e[key.split("@")[1]]).max()) for e in drawn.records)
-        limits[key] = largest - limits[key]
-    return {key: value for key, value in limits.items() if value > 0.0}
+    drawn = case.draw(seed, machine=machine, kind=case.Kind.NOTHING, limits={})
+    dataset = Dataset(drawn.records.experiments[:records])
+    return _read_as_sizes(diagnose(PLANTS[machine], dataset).limits, dataset)
 
 
-def run_case(seed: int, limits: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """Draw a case, diagnose it, and write down what was hidden and what was said."""
+def _read_as_sizes(limits: Iterable[Any], dataset: Dataset) -> dict[str, float]:
+    """Limits by "effect@place"; that of a saturation is how far the clip lies below the largest command."""
+    found = {f"{x.effect}@{x.place}": x.value for x in limits}
+    for key in [k for k in found if k.startswith("saturation@")]:
+        largest = max(float(np.abs(e[key.split("@")[1]]).max()) for e in dataset)
+        found[key] = largest - found[key]
+    return {key: value for key, value in found.items() if value > 0.0}
+
+
+def run_case(seed: int, limits: Limits, configuration: str) -> dict[str, Any]:
+    """Draw a case, diagnose it, and write down what was hidden and what was said.
+
+    A case that cannot be drawn or diagnosed is a row that says so ("undrawn", "error"), not the end of the study.
+    """
     case = generator()
-    machine = case.lot_of(seed).machine
-    drawn = case.draw(seed, limits=limits[machine])
-    row: dict[str, Any] = {
-        "seed": seed,
-        "machine": machine,
-        "kind": drawn.kind.value,
-        "truth": [
-            {"key": h.key, "multiple": h.multiple, "catalogued": h.catalogued, "parameters": dict(h.parameters)}
-            for h in drawn.truth
-        ],
-    }
+    lot = case.lot_of(seed)
+    row = {"seed": seed, "configuration": configuration, "machine": lot.machine, "kind": lot.kind.value}
+    own = limits[lot.machine]
+    try:
+        drawn = case.draw(seed, limits=own)
+    except InputError as reason:
+        return row | {"truth": [], "undrawn": str(reason)}
+    row["truth"] = [
+        {
+            "key": h.key, "multiple": h.multiple, "size": h.multiple * own.get(h.key, 0.0), "catalogued": h.catalogued,
+            "parameters": dict(h.parameters),
+        }
+        for h in drawn.truth
+    ]  # fmt: skip
     began = time.process_time()
     try:
-        found = diagnose(PLANTS[machine], drawn.records, drawn.held_out)
-    except Exception as reason:  # a case that fails is a row, not the end of the study
+        found = diagnose(PLANTS[lot.machine], drawn.records, drawn.held_out)
+    except Exception as reason:
         return row | {"error": "".join(traceback.format_exception(reason))[-2000:]}
     row["seconds"] = time.process_time() - began
-    row["verdict"] = found.finding.value
-    row["causes"] = [
+    return row | _answer(found) | {"own_limits": _own_limits(found, drawn)}
+
+
+def _answer(found: Any) -> dict[str, Any]:
+    """What a diagnosis said, as a row says it."""
+    causes = [
         {
             "key": c.key,
             "ties": dict(c.ties),
@@ -81,50 +185,261 @@ def run_case(seed: int, limits: Mapping[str, Mapping[str, float]]) -> dict[str, 
         }
         for c in found.causes
     ]
-    row["remainder"] = [[r.channel, r.variable, r.p_value, r.share] for r in found.remainder]
-    row["untestable"] = [f"{u.effect}@{u.place}" for u in found.untestable]
-    return row
+    return {
+        "verdict": found.finding.value,
+        "causes": causes,
+        "remainder": [[r.channel, r.variable, r.p_value, r.share] for r in found.remainder],
+        "untestable": [f"{u.effect}@{u.place}" for u in found.untestable],
+    }
 
 
-def _improved(gains: Iterable[Any]) -> float:
-    """Held-out one-step errors, after over before: geometric mean over records and channels."""
-    ratios = [g.after / g.before for g in gains if g.horizon == "one-step" and g.before > 0.0]
-    return float(np.exp(np.mean(np.log(ratios)))) if ratios else 1.0
+def _own_limits(found: Any, drawn: Any) -> dict[str, float]:
+    """The limits that the diagnosis of these very records states for what is hidden in them."""
+    stated = _read_as_sizes(found.limits, drawn.records)
+    return {h.key: stated[h.key] for h in drawn.truth if h.key in stated}
 
 
-def run(folder: Path, seeds: Iterable[int], progress: Callable[[str], None] = print) -> list[dict[str, Any]]:
-    """Every seed once: rows that cases.jsonl holds already are not run again."""
+def _improved(gains: Iterable[Any]) -> float | None:
+    """Held-out one-step errors, after over before: geometric mean over records and channels; None where nothing is predicted."""
+    ratios = [g.after / g.before for g in gains if g.horizon == "one-step" and g.before > 0.0 and np.isfinite(g.after)]
+    return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12))))) if ratios else None
+
+
+# ---- a run that can be cut off and goes on ------------------------------------------------------------------------------------
+
+
+def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambda _: None) -> list[dict[str, Any]]:
+    """Every seed once, `jobs` at a time: rows that cases.jsonl holds already are not run again. Returns all rows of the folder.
+
+    Raises InputError where the folder's rows were made by another version or with other limits.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    limits = {}
-    for machine in PLANTS:
-        path = folder / f"limits-{machine}.json"
-        if not path.exists():
-            write_json(path, limits_of(machine))
-        limits[machine] = read_json(path)
     table = folder / "cases.jsonl"
-    lines = table.read_text(encoding="utf-8").splitlines() if table.exists() else []
-    rows = [json.loads(line) for line in lines if line.endswith("}")]
+    rows = _whole_rows(table)
+    limits = _limits(folder, progress)
+    configuration = configured(limits)
+    others = {row.get("configuration", "none") for row in rows} - {configuration}
+    if others:
+        raise InputError(
+            f"holds cases of another version or with other limits ({', '.join(sorted(others))}, now {configuration})",
+            file=table,
+            mend="give a new --out folder, or the workbench that wrote this one",
+        )
     done = {row["seed"] for row in rows}
-    for seed in seeds:
-        if seed in done:
-            continue
-        row = run_case(seed, limits)
+    for row in _made([seed for seed in seeds if seed not in done], limits, configuration, jobs):
         with table.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+            file.write(plain_json.dumps(row) + "\n")
         rows.append(row)
         progress(said(row))
     return rows
 
 
-def said(row: Mapping[str, Any]) -> str:
+def _made(seeds: Sequence[int], limits: Limits, configuration: str, jobs: int) -> Iterator[dict[str, Any]]:
+    """Rows as they are done; only this process writes, so that a row is whole or absent."""
+    work = partial(run_case, limits=limits, configuration=configuration)
+    if jobs == 1 or len(seeds) < 2:
+        yield from map(work, seeds)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        yield from pool.imap_unordered(work, seeds)
+
+
+def _whole_rows(table: Path) -> list[dict[str, Any]]:
+    """The rows of a table; a last line that was cut off is taken away, so that the next row does not join it."""
+    if not table.exists():
+        return []
+    text = table.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        write_text(table, whole)
+    return [plain_json.loads(line) for line in whole.splitlines()]
+
+
+def _limits(folder: Path, progress: Say) -> Limits:
+    """The limits of all machines: those of the folder, or new ones that are put there."""
+    limits = {}
+    for machine in PLANTS:
+        path = folder / f"limits-{machine}.json"
+        if not path.exists():
+            progress(f"{machine}: detection limits")
+            write_json(path, limits_of(machine))
+        limits[machine] = read_json(path)
+    return limits
+
+
+def configured(limits: Limits) -> str:
+    """What rows must share to be counted together: a hash of the limits, the workbench's version and that of what computes."""
+    content = plain_json.dumps([limits, versions()], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+
+def said(row: Row) -> str:
     """A row on a line."""
     truth = ", ".join(f"{t['key']} x{t['multiple']:.2g}" for t in row["truth"]) or "nothing"
-    if "error" in row:
-        return f"{row['seed']} {row['machine']}: {truth} -> ERROR {row['error'].splitlines()[-1]}"
-    found = ", ".join(c["key"] + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "") for c in row["causes"]) or "-"
-    return f"{row['seed']} {row['machine']}, {row['kind']}: {truth} -> {row['verdict']}: {found} ({row['seconds']:.1f} s)"
+    start = f"{row['seed']} {row['machine']}, {row['kind']}: {truth}"
+    for fault in ("undrawn", "error"):
+        if fault in row:
+            return f"{start} -> {fault}: {row[fault].splitlines()[-1]}"
+    found = ", ".join(c["key"] + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "") for c in row["causes"]) or "no cause"
+    return f"{start} -> {row['verdict']}: {found} ({row['seconds']:.1f} s)"
 
 
-if __name__ == "__main__":
-    first, count = int(sys.argv[2]), int(sys.argv[3])
-    run(Path(sys.argv[1]), range(first, first + count), lambda text: print(text, flush=True))
+# ---- the page ---------------------------------------------------------------------------------------------------------------
+
+
+def verdict(s: Summary) -> str:
+    """The targets, what was reached, and where it falls short, in one paragraph."""
+    judged = [(t, getattr(s, t.rate)) for t in TARGETS]
+    met = [(t, share) for t, share in judged if share.of and t.reached(share)]
+    short = [(t, share) for t, share in judged if share.of and not t.reached(share)]
+    said = [f"{s.cases} cases."]
+    if short:
+        said.append("Falls short: " + "; ".join(f"{t.what}: {share}, target {t}" for t, share in short) + ".")
+    if met:
+        said.append("Reached: " + "; ".join(f"{t.what}: {share}, target {t}" for t, share in met) + ".")
+    open_ = [t.what for t, share in judged if not share.of]
+    if open_:
+        said.append(f"Without a case: {'; '.join(open_)}.")
+    if s.errors:
+        said.append(f"{s.errors} diagnoses ended with an error; they count as if nothing had been said.")
+    return " ".join(said)
+
+
+def to_json(s: Summary) -> dict[str, Any]:
+    """A summary as plain numbers."""
+    return {f.name: _plain(getattr(s, f.name)) for f in fields(s)}
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case Share():
+            return value.to_dict()
+        case Bin():
+            return {"low": value.low, "high": value.high, "mean": value.mean} | value.share.to_dict()
+        case Confusion() | Seconds():
+            return {f.name: getattr(value, f.name) for f in fields(value)}
+        case tuple():
+            return [_plain(x) for x in value]
+    return value
+
+
+def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str, Any]) -> Report:
+    whole = found["all"]
+    sections = (
+        Section("Targets", (_targets(found), _outcomes(found))),
+        Section("Size", _sizes(whole)),
+        Section("Stated odds", _calibration(whole)),
+        Section("What was taken for what", _confusion(rows, whole)),
+        Section("Run time", _seconds(whole)),
+        Section("Cases that went wrong", _wrong(rows)),
+        Section("Provenance", (Provenance(source),)),
+    )
+    title = "Hidden effects: how often the diagnosis is right"
+    return Report(title, verdict(whole), tuple(s for s in sections if s.blocks))
+
+
+def _targets(found: Mapping[str, Summary]) -> Table:
+    rows = []
+    for t in TARGETS:
+        for name, s in found.items():
+            share = getattr(s, t.rate)
+            low, high = share.interval
+            reached = "no case" if not share.of else "yes" if t.reached(share) else "no"
+            rate = 100 * share.rate if share.of else None
+            rows.append((t.what, name, str(t), share.hits, share.of, rate, 100 * low, 100 * high, reached))
+    return Table(
+        "Targets and what was reached",
+        ("what", "machine", "target", "cases", "of", "share [%]", "low [%]", "high [%]", "reached"),
+        tuple(rows),
+        caption=f"An effect counts from {TESTABLE:g} times its detection limit on, both the limit of records without it and that "
+        "which the diagnosis of the very records states (that of rounding apart, which holds the step itself), unless it could "
+        "not be tested. A wrong name beside the right one makes a case wrong. Outside the catalogue: from 5 times on. Intervals: "
+        "Clopper and Pearson, 95 %.",
+    )
+
+
+def _outcomes(found: Mapping[str, Summary]) -> Table:
+    extra = {
+        "right or tie, whatever limit the records state": "right_or_tie_by_multiple",
+        "confident wrong name at any size": "wrong_at_any_size",
+        "nothing hidden, said to be unknown": "unknown_of_nothing",
+        "two effects, one found": "one",
+    }
+    rows = [(o.value, *(s.outcomes.get(o.value, 0) for s in found.values())) for o in Outcome]
+    rows += [
+        (what, *(f"{getattr(s, rate).hits} of {getattr(s, rate).of}" for s in found.values())) for what, rate in extra.items()
+    ]
+    return Table("What was said", ("single effects that must be found", *found), tuple(rows), caption="Numbers of cases.")
+
+
+def _curve(bins: Sequence[Bin], x: Sequence[float]) -> Rates:
+    ends = np.array([b.share.interval for b in bins]).reshape(-1, 2)
+    return Rates(
+        np.array(x), np.array([b.share.rate for b in bins]), ends[:, 0], ends[:, 1], np.array([float(b.share.of) for b in bins])
+    )
+
+
+def _sizes(s: Summary) -> tuple[Block, ...]:
+    if not s.detection:
+        return ()
+    curves = {
+        "right name or tie": _curve(s.detection, [math.sqrt(b.low * b.high) for b in s.detection]),
+        "anything said": _curve(s.noticed, [math.sqrt(b.low * b.high) for b in s.noticed]),
+    }
+    caption = "Single effects of the catalogue, all machines, testable or not, by their size."
+    return (figures.rates("Found, by size", "size in detection limits", curves, caption),)
+
+
+def _calibration(s: Summary) -> tuple[Block, ...]:
+    if not s.calibration:
+        return ()
+    curve = {"names and rivals": _curve(s.calibration, [b.mean for b in s.calibration])}
+    caption = "How often a name was the hidden one, over the odds that were stated for it; on the line the odds are honest."
+    return (figures.rates("Stated odds and truth", "stated odds", curve, caption, stated=True),)
+
+
+def _confusion(rows: Sequence[Row], s: Summary) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    if pictured := _squares(rows):
+        blocks.append(pictured)
+    if s.confusions:
+        table = tuple((c.hidden, c.named, c.machine, c.count, c.tied) for c in s.confusions[:CONFUSIONS])
+        blocks.append(
+            Table(
+                "Most frequent confusions",
+                ("hidden", "named", "machine", "cases", "of them declared as a tie"),
+                table,
+                caption="Singles and pairs of any size in which the hidden effect was not named and another was.",
+            )
+        )
+    return tuple(blocks)
+
+
+def _squares(rows: Sequence[Row]) -> Picture | None:
+    """Effect hidden against effect named, places apart, for single effects that something was said about."""
+    said = [(row["truth"][0]["key"].partition("@")[0], row) for row in rows if row["kind"] == "single" and row.get("causes")]
+    if not said:
+        return None
+    hidden = sorted({key for key, _ in said})
+    named = sorted({c["key"].partition("@")[0] for _, row in said for c in row["causes"]} | set(hidden))
+    counts = np.zeros((len(hidden), len(named)))
+    for key, row in said:
+        for c in row["causes"]:
+            counts[hidden.index(key), named.index(c["key"].partition("@")[0])] += 1
+    caption = "Rows: hidden; columns: named. The area of a square is the share of the names in its row; places are one."
+    return figures.taken_for("Hidden and named", hidden, named, counts, caption)
+
+
+def _seconds(s: Summary) -> tuple[Block, ...]:
+    rows = tuple((x.kind, x.cases, x.median, x.p90, x.longest) for x in s.seconds)
+    header = ("machine, kind", "cases", "median [s]", "90 % [s]", "longest [s]")
+    return (Table("CPU time of a diagnosis", header, rows, digits=3),) if rows else ()
+
+
+def _wrong(rows: Sequence[Row]) -> tuple[Block, ...]:
+    """Confident wrong names, false alarms, and cases that came to no answer: none is left out."""
+    wrong = [row for row in rows if row["kind"] == "single" and "undrawn" not in row and outcome(row) is Outcome.WRONG]
+    alarms = [row for row in rows if row["kind"] == "nothing" and row.get("causes")]
+    faults = [row for row in rows if "error" in row or "undrawn" in row]
+    parts = (("Confident wrong names", wrong), ("Named though nothing was hidden", alarms), ("Without an answer", faults))
+    return tuple(Text(f"{title}: {len(own)}.\n\n" + "\n\n".join(map(said, own))) for title, own in parts)

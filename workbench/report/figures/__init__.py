@@ -15,6 +15,7 @@ from workbench.report.figures.modes import (
     modes_along_time,
     parameters_along_time,
 )
+from workbench.report.figures.rates import Rates, rates, taken_for
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses
 from workbench.report.figures.scores import score_dots
 from workbench.report.figures.simulation import measured_and_simulated, responses
@@ -27,6 +28,7 @@ __all__ = [
     "Coefficient",
     "ParameterEstimate",
     "ParameterInterval",
+    "Rates",
     "Trace",
     "Width",
     "coefficient_functions",
@@ -41,11 +43,13 @@ __all__ = [
     "order_sweep",
     "parameters",
     "parameters_along_time",
+    "rates",
     "responses",
     "score_dots",
     "signals",
     "similarity",
     "singular_values",
     "sparsity_path",
+    "taken_for",
     "widths",
 ]
