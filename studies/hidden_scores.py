@@ -175,7 +175,7 @@ def outcome(row: Row) -> Outcome:
     return Outcome.FLAGGED if unsure else Outcome.WRONG
 
 
-def testable(row: Row) -> bool:
+def must_be_found(row: Row) -> bool:
     """Whether every hidden effect is TESTABLE times its limit, that of records without it and that of the row's own records.
 
     A rounded channel has no limit of its own: its step is part of the noise from which the diagnosis states that limit.
@@ -209,7 +209,7 @@ def summary(rows: Iterable[Row]) -> Summary:
         [row for row in rows if row["kind"] == kind] for kind in ("nothing", "outside", "pair", "single")
     )
     far = [row for row in outside if row["truth"][0]["multiple"] >= FAR_OUTSIDE]
-    shown, both = [row for row in single if testable(row)], [row for row in pairs if testable(row)]
+    shown, both = [row for row in single if must_be_found(row)], [row for row in pairs if must_be_found(row)]
     said = [outcome(row) for row in shown]
     held = (Outcome.RIGHT, Outcome.TIE)
     return Summary(
@@ -264,8 +264,8 @@ def _binned(values: Sequence[float], hits: Sequence[bool], edges: Sequence[float
     at = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     found = []
     for k, (low, high) in enumerate(pairwise(edges)):
-        own = np.flatnonzero(at == k)
-        if len(own):
+        own = np.flatnonzero(at == k).tolist()
+        if own:
             found.append(Bin(low, high, float(np.mean([values[i] for i in own])), share(hits[i] for i in own)))
     return tuple(found)
 

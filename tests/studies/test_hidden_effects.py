@@ -1,0 +1,298 @@
+"""The study hidden-effects: its rates against rows made by hand, its table against runs that are cut off, its page."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import beta
+
+from studies import STUDIES, hidden_effects
+from studies.cli import main as command
+from studies.hidden_effects import SEEDS, TARGETS, configured, run, run_case, said, to_json, verdict
+from studies.hidden_scores import Outcome, Share, by_machine, found, must_be_found, outcome, strangers, summary
+from workbench.errors import InputError
+
+COULOMB, OFFSET, DELAY, LAG = "coulomb@rail", "offset@u", "input-delay@u", "sensor-lag@v"
+
+
+def hid(key, multiple=6.0, *, size=None, catalogued=True, **parameters):
+    return {
+        "key": key, "multiple": multiple, "size": multiple if size is None else size, "catalogued": catalogued,
+        "parameters": parameters,
+    }  # fmt: skip
+
+
+def named(key, *, ties=None, posterior=None, improved=0.5, **parameters):
+    ties = ties or {}
+    posterior = 1.0 - sum(ties.values()) if posterior is None else posterior
+    return {
+        "key": key, "ties": ties, "posterior": posterior, "delta_bic": 50.0, "stability": 0.5, "parameters": parameters,
+        "improved": improved,
+    }  # fmt: skip
+
+
+def row(*truth, causes=(), verdict=None, kind=None, machine="welding-robot", seed=0, untestable=(), limits=1.0, seconds=1.0):
+    verdict = verdict or ("named" if causes else "nothing")
+    kinds = {0: "nothing", 1: "single" if truth and truth[0]["catalogued"] else "outside", 2: "pair"}
+    return {
+        "seed": seed, "configuration": "c", "machine": machine, "kind": kind or kinds[len(truth)], "truth": list(truth),
+        "verdict": verdict, "causes": list(causes), "remainder": [], "untestable": list(untestable),
+        "own_limits": {t["key"]: limits for t in truth}, "seconds": seconds,
+    }  # fmt: skip
+
+
+# ---- one row ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("causes", "verdict", "expected"),
+    [
+        ([named(COULOMB)], "named", Outcome.RIGHT),
+        ([named(COULOMB)], "incomplete", Outcome.RIGHT),
+        ([named(COULOMB, ties={OFFSET: 0.1, DELAY: 0.1, LAG: 0.1})], "named", Outcome.RIGHT),
+        ([named(OFFSET, ties={COULOMB: 0.1, DELAY: 0.1})], "named", Outcome.TIE),
+        ([named(OFFSET, ties={COULOMB: 0.1, DELAY: 0.1, LAG: 0.1})], "named", Outcome.FLAGGED),
+        ([named(COULOMB), named(DELAY)], "named", Outcome.BESIDE),
+        ([named(OFFSET)], "named", Outcome.WRONG),
+        ([named(OFFSET, ties={DELAY: 0.4})], "named", Outcome.WRONG),
+        ([named(OFFSET)], "incomplete", Outcome.FLAGGED),
+        ([named("coulomb@arm")], "named", Outcome.WRONG),
+        ([], "unknown", Outcome.UNKNOWN),
+        ([], "nothing", Outcome.MISSED),
+    ],
+)
+def test_what_was_said_about_one_effect_is_judged_by_name_place_tie_and_verdict(causes, verdict, expected):
+    assert outcome(row(hid(COULOMB), causes=causes, verdict=verdict)) is expected
+
+
+def test_a_friction_that_holds_another_one_is_right_only_as_a_declared_tie():
+    one = hid("asymmetric-friction@rail")
+    assert outcome(row(one, causes=[named(COULOMB)])) is Outcome.WRONG
+    assert outcome(row(one, causes=[named(COULOMB, ties={"asymmetric-friction@rail": 0.2})])) is Outcome.TIE
+
+
+def test_of_two_effects_each_needs_a_cause_of_its_own():
+    pair = hid(COULOMB), hid(OFFSET)
+    assert found(row(*pair, causes=[named(COULOMB), named(OFFSET)])) == 2
+    assert found(row(*pair, causes=[named(COULOMB, ties={OFFSET: 0.3})])) == 1
+    crossed = [named(DELAY, ties={COULOMB: 0.3, OFFSET: 0.2}), named(COULOMB)]
+    assert found(row(*pair, causes=crossed)) == 2  # the tie stands for the offset, though the friction comes first in it
+    assert strangers(row(*pair, causes=[named(COULOMB), named(LAG)])) == [LAG]
+
+
+def test_an_effect_must_be_found_from_twice_both_limits_on_unless_it_could_not_be_tested():
+    assert must_be_found(row(hid(COULOMB, 2.0)))
+    assert not must_be_found(row(hid(COULOMB, 1.9, size=100.0)))
+    assert not must_be_found(row(hid(COULOMB, 9.0, size=1.9)))
+    assert not must_be_found(row(hid(COULOMB), untestable=[COULOMB]))
+    assert not must_be_found(row(hid(COULOMB), limits=4.0))
+    assert not must_be_found(row(hid(COULOMB), hid(OFFSET, 1.0)))
+    assert not must_be_found({**row(hid(COULOMB)), "own_limits": {}})
+
+
+def test_the_limit_that_a_rounded_channel_states_for_itself_excuses_nothing():
+    """R^2 = r^2 + q^2/12 makes the stated limit sqrt(3) R grow with the step q: no step would be twice it."""
+    assert must_be_found(row(hid("quantisation@v", 9.0, size=9.0), limits=6.0))
+    assert not must_be_found(row(hid("quantisation@v", 1.0, size=9.0)))
+
+
+# ---- many rows --------------------------------------------------------------------------------------------------------------
+
+
+def test_intervals_are_those_of_the_beta_distribution():
+    low, high = Share(3, 40).interval
+    np.testing.assert_allclose([low, high], [beta.ppf(0.025, 3, 38), beta.ppf(0.975, 4, 37)], rtol=1e-9)
+    np.testing.assert_allclose(Share(0, 300).interval, [0.0, 1.0 - 0.025 ** (1 / 300)], rtol=1e-9)
+    assert Share(0, 0).interval == (0.0, 1.0)
+    assert math.isnan(Share(0, 0).rate)
+
+
+MIXED = [
+    row(hid(COULOMB, level=1.0), causes=[named(COULOMB, level=[1.1, 0.9, 1.3])]),
+    row(hid(COULOMB, level=1.0), causes=[named(COULOMB, level=[1.4, 1.2, 1.6], improved=1.2)]),
+    row(hid(COULOMB), causes=[named(OFFSET, ties={COULOMB: 0.3})]),
+    row(hid(COULOMB), causes=[named(OFFSET)]),
+    row(hid(COULOMB)),
+    row(hid(COULOMB, 0.7), causes=[named(LAG)]),
+    row(hid(COULOMB, 3.0), limits=5.0),
+    *[row(seconds=s) for s in (1.0, 2.0, 30.0)],
+    row(causes=[named(DELAY)], machine="positioning-axis"),
+    row(verdict="unknown"),
+    row(hid(COULOMB), hid(OFFSET), causes=[named(COULOMB), named(OFFSET)]),
+    row(hid(COULOMB), hid(OFFSET), causes=[named(COULOMB), named(LAG)]),
+    row(hid(COULOMB), hid(OFFSET, 1.0), causes=[]),
+    row(hid("cable@outside", 6.0, catalogued=False), verdict="unknown"),
+    row(hid("cable@outside", 6.0, catalogued=False), causes=[named(LAG)]),
+    row(hid("cable@outside", 6.0, catalogued=False), causes=[named(LAG)], verdict="incomplete"),
+    row(hid("cable@outside", 4.9, catalogued=False)),
+]
+
+
+@pytest.mark.parametrize(
+    ("rate", "hits", "of"),
+    [
+        ("right", 2, 5), ("right_or_tie", 3, 5), ("wrong", 1, 5), ("missed", 1, 5), ("right_or_tie_by_multiple", 3, 6),
+        ("wrong_at_any_size", 2, 7), ("false_alarms", 1, 5), ("unknown_of_nothing", 1, 5), ("both", 1, 2), ("one", 1, 2),
+        ("wrong_in_pairs", 1, 2), ("outside", 2, 3), ("inside", 1, 2), ("gained", 11, 12),
+    ],
+)  # fmt: skip
+def test_a_rate_is_of_the_cases_it_is_meant_for(rate, hits, of):
+    share = getattr(summary(MIXED), rate)
+    assert (share.hits, share.of) == (hits, of)
+
+
+def test_a_diagnosis_that_ends_with_an_error_is_a_miss_and_a_case_that_was_not_drawn_is_none():
+    failed = {k: v for k, v in row(hid(COULOMB)).items() if k in ("seed", "machine", "kind", "truth")} | {"error": "E\nboom"}
+    undrawn = {"seed": 1, "machine": "welding-robot", "kind": "pair", "truth": [], "undrawn": "no sound runs"}
+    s = summary([failed, undrawn])
+    assert (s.cases, s.errors, s.missed.hits, s.right.of) == (1, 1, 1, 1)
+    assert "boom" in said(failed)
+    assert "no sound runs" in said(undrawn)
+    assert "error" in verdict(s)
+
+
+def test_every_machine_has_its_own_rates_and_all_rows_are_counted_once():
+    every = by_machine(MIXED)
+    assert list(every) == ["all", "positioning-axis", "welding-robot"]
+    assert every["positioning-axis"].false_alarms.hits == 1
+    assert every["welding-robot"].false_alarms.hits == 0
+    assert sum(s.cases for name, s in every.items() if name != "all") == every["all"].cases == len(MIXED)
+
+
+def test_sizes_fall_into_the_bins_of_their_multiple_the_lower_bound_inside():
+    s = summary([row(hid(COULOMB, m), causes=[named(COULOMB)] if m >= 2.0 else ()) for m in (0.5, 0.99, 1.0, 2.0, 7.9, 20.0)])
+    assert [(b.low, b.share.hits, b.share.of) for b in s.detection] == [(0.5, 0, 2), (1, 0, 1), (2, 1, 1), (4, 1, 1), (8, 1, 1)]
+
+
+def test_honest_odds_are_on_the_line():
+    """Of 10 ties stated as 0.7 to 0.3 seven hold the first and three the second: both bins hold what they state."""
+    rows = [row(hid(COULOMB if k < 7 else OFFSET), causes=[named(COULOMB, ties={OFFSET: 0.3})]) for k in range(10)]
+    bins = summary(rows).calibration
+    np.testing.assert_allclose([(b.mean, b.share.rate) for b in bins], [(0.3, 0.3), (0.7, 0.7)])
+
+
+def test_confusions_are_listed_most_frequent_first_with_those_that_were_declared():
+    rows = [row(hid(COULOMB), causes=[named(OFFSET, ties=t)]) for t in ({}, {COULOMB: 0.4}, {})]
+    first, second = summary([row(hid(LAG), causes=[named(DELAY)]), row(hid(LAG), causes=[named(LAG)]), *rows]).confusions
+    assert (first.hidden, first.named, first.count, first.tied) == (COULOMB, OFFSET, 3, 1)
+    assert (second.hidden, second.named, second.count) == (LAG, DELAY, 1)
+
+
+def test_seconds_are_told_by_machine_and_kind():
+    (nothing,) = summary([row(seconds=s) for s in (1.0, 2.0, 12.0)]).seconds
+    assert (nothing.kind, nothing.cases, nothing.median, nothing.longest) == ("welding-robot, nothing", 3, 2.0, 12.0)
+    assert nothing.p90 == pytest.approx(10.0)
+
+
+# ---- the table of cases -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def quick_cases(monkeypatch):
+    """Limits and cases without a diagnosis; the seeds that were run."""
+    ran = []
+
+    def made(seed, limits, configuration):
+        ran.append(seed)
+        return row(seed=seed) | {"configuration": configuration}
+
+    monkeypatch.setattr(hidden_effects, "limits_of", lambda machine: {"offset@u": 0.1})
+    monkeypatch.setattr(hidden_effects, "run_case", made)
+    return ran
+
+
+def test_a_run_that_was_cut_off_within_a_row_makes_that_row_again_and_no_other(tmp_path, quick_cases):
+    run(tmp_path, range(5))
+    table = tmp_path / "cases.jsonl"
+    text = table.read_text()
+    table.write_text(text[: text.rfind("}", 0, len(text) - 1) + 1])  # cut at a bracket inside the last row
+    rows = run(tmp_path, range(6))
+    assert quick_cases == [0, 1, 2, 3, 4, 4, 5]
+    assert [r["seed"] for r in rows] == [json.loads(line)["seed"] for line in table.read_text().splitlines()] == [*range(6)]
+
+
+def test_cases_of_other_limits_are_not_mixed(tmp_path, quick_cases):
+    run(tmp_path, range(2))
+    path = tmp_path / "limits-welding-robot.json"
+    path.write_text(path.read_text().replace("0.1", "0.2"))
+    with pytest.raises(InputError, match="another version or with other limits") as refused:
+        run(tmp_path, range(3))
+    assert "cases.jsonl" in str(refused.value)
+    assert "--out" in str(refused.value)
+    assert quick_cases == [0, 1]
+
+
+def test_the_configuration_tells_limits_and_versions_apart(monkeypatch):
+    before = configured({"m": {"offset@u": 0.1}})
+    assert configured({"m": {"offset@u": 0.1}}) == before != configured({"m": {"offset@u": 0.2}})
+    monkeypatch.setattr(hidden_effects, "versions", lambda: {"gain-scheduling-workbench": "another"})
+    assert configured({"m": {"offset@u": 0.1}}) != before
+
+
+def test_a_case_holds_what_was_hidden_what_was_said_and_the_limits_of_its_own_records():
+    """Offset of the axis' drive, its limit 1 N: drawn, diagnosed, and judged from the row that is written."""
+    case = hidden_effects.generator()
+    wanted = ("positioning-axis", case.Kind.SINGLE)
+    seed = next(s for s in range(10**4) if (lot := case.lot_of(s)) and (lot.machine, lot.kind) == wanted)
+    drawn = run_case(seed, {"positioning-axis": {"offset@F": 1.0}}, "c")
+    (truth,) = json.loads(json.dumps(drawn))["truth"]
+    assert truth["size"] == pytest.approx(abs(truth["parameters"]["level"]))
+    assert truth["size"] == pytest.approx(truth["multiple"])
+    assert 0.0 < drawn["own_limits"]["offset@F"] < 5.0
+    assert isinstance(outcome(drawn), Outcome)
+    assert drawn["seconds"] > 0.0
+
+
+# ---- command and page ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_runs_the_seeds_asked_for_and_writes_page_and_numbers(tmp_path, quick_cases, capsys):
+    assert STUDIES["hidden-effects"]() is hidden_effects
+    asked = ["study", "hidden-effects", "--seed", "7", "--cases", "3", "--out", str(tmp_path), "--json", str(tmp_path / "n.json")]
+    assert command(asked) == 0
+    assert quick_cases == [7 * SEEDS, 7 * SEEDS + 1, 7 * SEEDS + 2]
+    assert "3 cases" in capsys.readouterr().out
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["summary"]["all"]["false_alarms"]["of"] == 3
+    assert numbers["provenance"]["seed"] == 7
+    assert "false" not in (tmp_path / "cases.jsonl").read_text()
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_cases_are_an_option_of_this_study_alone(tmp_path, capsys):
+    assert command(["study", "emps", "--cases", "3", "--out", str(tmp_path)]) == 2
+    assert "--cases" in capsys.readouterr().err
+
+
+def test_data_are_refused(tmp_path):
+    with pytest.raises(InputError, match="its own records"):
+        hidden_effects.main(folder=tmp_path, data="folder")
+
+
+def test_the_verdict_says_where_it_falls_short_before_what_it_reached():
+    text = verdict(summary([row(hid(COULOMB), causes=[named(OFFSET)]), *[row() for _ in range(300)]]))
+    short, reached, without = (text.index(word) for word in ("Falls short", "Reached", "Without a case"))
+    assert short < text.index("confident wrong name: 1 of 1 (100.0 %") < reached
+    assert reached < text.index("nothing hidden, yet a cause named: 0 of 300 (0.0 %, 95 % interval 0.0 to 1.2 %)") < without
+    assert all(t.what in text for t in TARGETS)
+
+
+def test_a_target_is_a_range_and_too_wide_intervals_are_no_success():
+    inside = next(t for t in TARGETS if t.rate == "inside")
+    assert [inside.reached(Share(n, 100)) for n in (89, 90, 97, 98)] == [False, True, True, False]
+    alarms = next(t for t in TARGETS if t.rate == "false_alarms")
+    assert [alarms.reached(Share(n, 300)) for n in (3, 4)] == [True, False]
+
+
+def test_the_page_shows_every_picture_and_lists_every_wrong_case():
+    every = by_machine(MIXED)
+    report = hidden_effects._report(MIXED, every, {})
+    assert [s.title for s in report.sections] == [
+        "Targets", "Size", "Stated odds", "What was taken for what", "Run time", "Cases that went wrong", "Provenance",
+    ]  # fmt: skip
+    texts = " ".join(block.text for block in report.sections[5].blocks)
+    assert "Confident wrong names: 2" in texts
+    assert f"{COULOMB} x0.7 -> named: {LAG}" in texts
+    assert "Named though nothing was hidden: 1" in texts
+    assert json.loads(json.dumps(to_json(every["all"])))["wrong"]["hits"] == 1
