@@ -341,22 +341,23 @@ def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str,
 
 
 def _targets(found: Mapping[str, Summary]) -> Table:
-    rows = []
+    rows, machines = [], [name for name in found if name != "all"]
     for t in TARGETS:
-        for name, s in found.items():
-            share = getattr(s, t.rate)
-            low, high = share.interval
-            reached = "no case" if not share.of else "yes" if t.reached(share) else "no"
-            rate = 100 * share.rate if share.of else None
-            rows.append((t.what, name, str(t), share.hits, share.of, rate, 100 * low, 100 * high, reached))
+        share = getattr(found["all"], t.rate)
+        low, high = (100 * end for end in share.interval)
+        reached = "no case" if not share.of else "yes" if t.reached(share) else "no"
+        cells = [getattr(found[name], t.rate) for name in machines]
+        numbers = [f"{s.hits} of {s.of}" for s in (share, *cells)]
+        rows.append((t.what, str(t), reached, 100 * share.rate if share.of else None, low, high, *numbers))
     return Table(
         "Targets and what was reached",
-        ("what", "machine", "target", "cases", "of", "share [%]", "low [%]", "high [%]", "reached"),
+        ("what", "target", "reached", "share [%]", "low [%]", "high [%]", "cases", *machines),
         tuple(rows),
         caption=f"An effect counts from {TESTABLE:g} times its detection limit on, both the limit of records without it and that "
         "which the diagnosis of the very records states (that of rounding apart, which holds the step itself), unless it could "
         "not be tested. A wrong name beside the right one makes a case wrong. Outside the catalogue: from 5 times on. Intervals: "
         "Clopper and Pearson, 95 %.",
+        digits=3,
     )
 
 
