@@ -212,6 +212,18 @@ def test_a_run_that_was_cut_off_within_a_row_makes_that_row_again_and_no_other(t
     assert [r["seed"] for r in rows] == [json.loads(line)["seed"] for line in table.read_text().splitlines()] == [*range(6)]
 
 
+def test_several_processes_make_the_same_rows_as_one(tmp_path, monkeypatch):
+    """Without limits no effect can be drawn: the row says so, and the way of a case through the processes is all that is run."""
+    monkeypatch.setattr(hidden_effects, "limits_of", lambda machine: {})
+    case = hidden_effects.generator()
+    seeds = [seed for seed in range(100) if case.lot_of(seed).machine != "web-winding"]
+    seeds = [seed for seed in seeds if case.lot_of(seed).kind in (case.Kind.SINGLE, case.Kind.PAIR)][:6]
+    one, two = (run(tmp_path / str(jobs), seeds, jobs) for jobs in (1, 2))
+    assert one == sorted(two, key=lambda made: made["seed"])
+    assert [made["seed"] for made in one] == seeds
+    assert all("too few effects" in made["undrawn"] for made in one)
+
+
 def test_cases_of_other_limits_are_not_mixed(tmp_path, quick_cases):
     run(tmp_path, range(2))
     path = tmp_path / "limits-welding-robot.json"
