@@ -367,6 +367,7 @@ def _outcomes(found: Mapping[str, Summary]) -> Table:
         "confident wrong name at any size": "wrong_at_any_size",
         "nothing hidden, said to be unknown": "unknown_of_nothing",
         "two effects, one found": "one",
+        "two effects, both found, whatever limits the records state": "both_by_multiple",
     }
     rows = [(o.value, *(s.outcomes.get(o.value, 0) for s in found.values())) for o in Outcome]
     rows += [

@@ -121,6 +121,7 @@ class Summary:
     unknown_of_nothing: Share  # the same: something is missing, no name
     both: Share  # of pairs of which both are testable
     one: Share
+    both_by_multiple: Share  # of pairs of which both are at TESTABLE or more, whatever limits their own records state
     wrong_in_pairs: Share  # the verdict is "named", and a cause is neither of the two
     outside: Share  # of cases outside the catalogue at FAR_OUTSIDE or more: "unknown" or "incomplete"
     inside: Share  # of stated intervals of right causes: the true number lies inside
@@ -225,6 +226,7 @@ def summary(rows: Iterable[Row]) -> Summary:
         unknown_of_nothing=share(row.get("verdict") == "unknown" for row in nothing),
         both=share(found(row) == 2 for row in both),
         one=share(found(row) == 1 for row in both),
+        both_by_multiple=share(found(row) == 2 for row in pairs if by_multiple(row)),
         wrong_in_pairs=share(row.get("verdict") == "named" and bool(strangers(row)) for row in both),
         outside=share(row.get("verdict") in ("unknown", "incomplete") for row in far),
         inside=share(_inside(rows)),

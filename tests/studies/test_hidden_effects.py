@@ -122,6 +122,7 @@ MIXED = [
     row(hid(COULOMB), hid(OFFSET), causes=[named(COULOMB), named(OFFSET)]),
     row(hid(COULOMB), hid(OFFSET), causes=[named(COULOMB), named(LAG)]),
     row(hid(COULOMB), hid(OFFSET, 1.0), causes=[]),
+    row(hid(COULOMB), hid(OFFSET), limits=5.0),
     row(hid("cable@outside", 6.0, catalogued=False), verdict="unknown"),
     row(hid("cable@outside", 6.0, catalogued=False), causes=[named(LAG)]),
     row(hid("cable@outside", 6.0, catalogued=False), causes=[named(LAG)], verdict="incomplete"),
@@ -134,6 +135,7 @@ MIXED = [
     [
         ("right", 2, 5), ("right_or_tie", 3, 5), ("wrong", 1, 5), ("missed", 1, 5), ("right_or_tie_by_multiple", 3, 6),
         ("wrong_at_any_size", 2, 7), ("false_alarms", 1, 5), ("unknown_of_nothing", 1, 5), ("both", 1, 2), ("one", 1, 2),
+        ("both_by_multiple", 1, 3),
         ("wrong_in_pairs", 1, 2), ("outside", 2, 3), ("inside", 1, 2), ("gained", 11, 12),
     ],
 )  # fmt: skip
