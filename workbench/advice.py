@@ -208,7 +208,7 @@ def _feedback(experiment: Experiment) -> Iterator[Advice]:
 def quantum(values: np.ndarray) -> float:
     """Largest step q with values = offset + integer q to 5 % of q: the resolution of a channel (N,); 0 if there is none."""
     levels = np.unique(values)
-    if len(levels) < 8 or len(levels) > len(values) / 2:
+    if len(levels) < 8:
         return 0.0
     steps = np.diff(levels)
     steps = steps[steps > 1e-9 * (levels[-1] - levels[0])]

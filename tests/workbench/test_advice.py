@@ -117,6 +117,8 @@ def test_clipping_is_many_equal_samples_in_runs_at_an_end():
 def test_the_quantum_of_a_channel_is_its_step(step):
     assert quantum(0.3 + step * np.round(SINE / step)) == pytest.approx(step, rel=1e-9)
     assert quantum(SINE) == 0.0
+    few = np.random.default_rng(0).integers(-2000, 2000, 500)  # hardly two samples on one level
+    assert quantum(0.3 + step * few) == pytest.approx(step, rel=1e-9)
     assert kinds(made(step * np.round(SINE / step)))["quantum"] == "y"
     fine_steps = 1e-3 * np.round(1000 * (SINE + 0.1 * NOISE))
     assert "quantum" not in kinds(made(fine_steps))  # finer than the noise: no matter
