@@ -24,6 +24,9 @@ from plants import PLANTS
 from studies.hidden_scores import TESTABLE, Bin, Confusion, Outcome, Row, Seconds, Share, Summary, by_machine, outcome
 from workbench.data import Dataset
 from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnose.predictor import predictor
+from workbench.diagnose.recalibrate import recalibrated
+from workbench.diagnose.refit import Model
 from workbench.errors import InputError
 from workbench.files import read_json, write_json, write_text
 from workbench.provenance import provenance, versions
@@ -38,6 +41,8 @@ Limits = Mapping[str, Mapping[str, float]]  # by machine and "effect@place"
 LIMIT_SEED = (
     999_999  # records without effect from which the limits of a machine are taken; on all of them every channel is logged
 )
+FIVE_SIGMA = 25.0
+CLEAR, TRIALS = (100.0, 1600.0), 5  # losses from which a limit is read, how often a size is tried
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 600, 30
 CONFUSIONS = 20
@@ -127,12 +132,34 @@ def generator() -> Any:
 def limits_of(machine: str, seed: int = LIMIT_SEED, records: int | None = None) -> dict[str, float]:
     """Detection limit of every effect of a machine, in the generator's reading, from records with nothing hidden.
 
-    records: how many of them, all by default; fewer state higher limits in less time.
+    records: how many of them, all by default; fewer state higher limits in less time. Physics outside the catalogue has the
+    size as its limit at which the recalibrated plant loses FIVE_SIGMA of twice the log-likelihood, noise levels tuned.
     """
     case = generator()
-    drawn = case.draw(seed, machine=machine, kind=case.Kind.NOTHING, limits={})
-    dataset = Dataset(drawn.records.experiments[:records])
-    return _read_as_sizes(diagnose(PLANTS[machine], dataset).limits, dataset)
+    dataset = Dataset(case.records(seed, machine).experiments[:records])
+    limits = _read_as_sizes(diagnose(PLANTS[machine], dataset).limits, dataset)
+    module, quiet = case.MACHINES[machine], _deviance(machine, dataset)
+    for name in module.FOREIGN:
+        size, loss = module.TRIAL[name], 0.0
+        for _ in range(TRIALS):
+            try:
+                runs = case.records(seed, machine, (case.foreign(name, size),))
+            except InputError:  # the machine does not run with so much of it
+                size *= 0.3
+                continue
+            loss = _deviance(machine, Dataset(runs.experiments[:records])) - quiet
+            if CLEAR[0] < loss < CLEAR[1]:
+                break
+            size *= float(np.clip(np.sqrt(np.sqrt(CLEAR[0] * CLEAR[1]) / max(loss, 1.0)), 0.05, 5.0))
+        if loss > FIVE_SIGMA:
+            limits[f"{name}@{case.OUTSIDE}"] = size * float(np.sqrt(FIVE_SIGMA / loss))
+    return limits
+
+
+def _deviance(machine: str, dataset: Dataset) -> float:
+    """Of the recalibrated plant without any effect."""
+    made = recalibrated(predictor(PLANTS[machine], dataset))
+    return Model(made.predictor, made.fit).deviance
 
 
 def _read_as_sizes(limits: Iterable[Any], dataset: Dataset) -> dict[str, float]:

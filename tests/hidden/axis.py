@@ -126,7 +126,6 @@ READING = PLANT.noise.get("q", 2.0e-6)  # m, noise of the scale
 HALF = 0.25  # m, half of the way
 FOREIGN = tuple(name.replace("_", "-") for name in Foreign._fields)
 TRIAL = dict(zip(FOREIGN, (500.0, 20.0, 200.0), strict=True))
-DEVIATIONS = {"F": FORCE_NOISE, "q": READING}
 PLACES = {"slide": SLIDE, "F": ACTUATOR, "q": SENSOR}
 CAPS = {
     "coulomb": 60.0, "stribeck": 60.0, "asymmetric-friction": 60.0, "quadratic-friction": 500.0, "friction-jump": 60.0,

@@ -1,10 +1,8 @@
 """`draw(seed, limits=...)`: one case, records of a machine in which something is hidden, or nothing, and the truth about it.
 
 A size is drawn log-uniform from 0.5 to 20 times the detection limit that the caller gives, cut where the machine would no
-longer run. Two readings of "limit" need a word. Saturation: the limit is by how much [unit of the command] the clip must lie
-below the largest command of the same runs without it. Physics outside the catalogue: no diagnosis has a limit for it, so it is
-the size at which all channels of the estimation records together move by SEEN noise deviations (root of the sum of squares)
-against the same runs without it.
+longer run. The limit of a saturation is by how much [unit of the command] the clip must lie below the largest command of the same
+runs without it; that of physics outside the catalogue goes by the name "effect@outside".
 
 Everything comes from the seed. Runs in which the tape goes slack or the machine runs away are drawn again, by turns with
 another loop and with a smaller size, and `notes` says so.
@@ -27,9 +25,9 @@ from workbench.records import field, record
 MACHINES: dict[str, ModuleType] = {module.NAME: module for module in (winding, robot, axis)}
 MIX = {"web-winding": 0.60, "welding-robot": 0.25, "positioning-axis": 0.15}
 LOW, HIGH = 0.5, 20.0  # multiples of the detection limit
-SEEN = 15.0  # five deviations, of a signature of which nominal parameters mimic nine tenths of the energy
 MINIMAL = 0.25  # share of the cases in which what a cheap machine does not measure is missing
 TRIES = 12
+OUTSIDE = "outside"  # the place of physics that the catalogue does not have
 SHRINK = 0.6
 
 
@@ -93,6 +91,14 @@ def draw(seed: int, *, machine: str | None = None, kind: Kind | None = None, lim
     return Case(seed, module.NAME, kind, Dataset(records), Dataset(held_out), truth, parameters, tuple(notes))
 
 
+def records(seed: int, machine: str, truth: tuple[Hidden, ...] = ()) -> Dataset:
+    """The estimation records of a seed's bench in which just this is hidden. Raises InputError where a run is not sound."""
+    outcomes = _Bench(MACHINES[machine], seed).run(truth, held_out=False)
+    if fault := next((o.fault for o in outcomes if o.fault), ""):
+        raise InputError(f"seed {seed}, {', '.join(h.key for h in truth)}: {fault}", mend="make it smaller")
+    return Dataset(tuple(o.experiment for o in outcomes))
+
+
 @record
 class Lot:
     """What a seed draws first."""
@@ -139,8 +145,10 @@ def _check_limits(limits: Mapping[str, float]) -> None:
     places = {place for module in MACHINES.values() for place in module.PLACES}
     for key, value in limits.items():
         effect, _, place = key.partition("@")
-        check_known("effect", effect, SIZE, file="limits")
-        check_known("place", place, places, file="limits")
+        check_known(
+            "effect", effect, {name for m in MACHINES.values() for name in m.FOREIGN} if place == OUTSIDE else SIZE, file="limits"
+        )
+        check_known("place", place, {*places, OUTSIDE}, file="limits")
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"detection limit {value:g}", file="limits", channel=key, mend="leave out what no record can show")
 
@@ -149,7 +157,7 @@ def _truth(bench: _Bench, kind: Kind, limits: Mapping[str, float], random: np.ra
     if kind is Kind.NOTHING:
         return ()
     if kind is Kind.OUTSIDE:
-        return (_foreign(bench, random),)
+        return (_foreign(bench, limits, random),)
     open_keys = [key for key in sorted(limits) if _possible(bench, key, limits[key])]
     chosen: list[Hidden] = []
     for _ in range(2 if kind is Kind.PAIR else 1):
@@ -199,19 +207,18 @@ def _sized(bench: _Bench, key: str, limit: float, random: np.random.Generator) -
     return Hidden(effect, place, parameters, multiple)
 
 
-def _foreign(bench: _Bench, random: np.random.Generator) -> Hidden:
-    names = bench.module.FOREIGN
+def _foreign(bench: _Bench, limits: Mapping[str, float], random: np.random.Generator) -> Hidden:
+    names = [name for name in bench.module.FOREIGN if f"{name}@{OUTSIDE}" in limits]
+    if not names:
+        raise InputError(f"no limit of an effect @{OUTSIDE} for {bench.module.NAME}", file="limits", mend="give one")
     effect = names[random.integers(len(names))]
-    trial = bench.module.TRIAL[effect]
-    tried = [o.experiment for o in bench.run((Hidden(effect, "outside", {"size": trial}, 0.0, False),), held_out=False)]
-    moved = 0.0
-    for a, b in zip(bench.quiet, tried, strict=True):
-        for name, deviation in bench.module.DEVIATIONS.items():
-            if name in a.names:
-                moved += float(np.sum(((a[name] - b[name]) / deviation) ** 2))
-    limit = trial * SEEN / np.sqrt(moved)
     multiple = float(LOW * (HIGH / LOW) ** random.random())
-    return Hidden(effect, "outside", {"size": multiple * limit}, multiple, False)
+    return foreign(effect, multiple * limits[f"{effect}@{OUTSIDE}"], multiple)
+
+
+def foreign(effect: str, size: float, multiple: float = 0.0) -> Hidden:
+    """Physics outside the catalogue."""
+    return Hidden(effect, OUTSIDE, {"size": size}, multiple, False)
 
 
 def _smaller(h: Hidden) -> Hidden:

@@ -145,7 +145,6 @@ FASTEST = 15.0  # m/s, beyond it the robot has run away
 RESOLUTION = 1e-4  # rad, of the logged angle of the arm
 FOREIGN = tuple(name.replace("_", "-") for name in Foreign._fields)
 TRIAL = dict(zip(FOREIGN, (0.01, 0.05, 0.3, 0.05), strict=True))
-DEVIATIONS = {"u": FORCE_NOISE, "v": PLANT.noise["v"]}
 PLACES = {"rail": SLIDE + ROBOT, "u": ACTUATOR, "v": SENSOR}
 CAPS = {
     "coulomb": 0.6, "stribeck": 0.6, "asymmetric-friction": 0.6, "quadratic-friction": 0.3, "friction-jump": 0.6,

@@ -9,7 +9,7 @@ from scipy.signal import welch
 
 from controllers.pid import PILoops
 from tests.hidden import axis, parts, robot, winding
-from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, lot_of
+from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, foreign, lot_of, records
 from tests.hidden.catalogue import SIZE, Hidden, fields_of, shapes
 from tests.hidden.drawn import Programme
 from workbench.errors import InputError
@@ -369,11 +369,23 @@ def test_a_saturation_clips_the_largest_command_by_its_multiple():
 
 
 def test_physics_outside_the_catalogue_is_drawn_and_said_to_be_outside():
-    case = draw(2, machine="welding-robot", kind=Kind.OUTSIDE, limits={})
+    limits = {"cubic-drag@outside": 0.02}
+    case = draw(2, machine="welding-robot", kind=Kind.OUTSIDE, limits=limits)
     (h,) = case.truth
     assert not h.catalogued
-    assert h.effect in robot.FOREIGN
-    assert h.size > 0
+    assert h.key == "cubic-drag@outside"
+    assert h.size == pytest.approx(0.02 * h.multiple)
+    with pytest.raises(InputError, match="outside"):
+        draw(2, machine="positioning-axis", kind=Kind.OUTSIDE, limits={"drive-angle@outside": 0.02})
+
+
+def test_records_of_a_bench_hold_just_what_is_asked_for():
+    quiet, same, other = (
+        records(5, "welding-robot", truth) for truth in ((), (foreign("cubic-drag", 0.0),), (foreign("cubic-drag", 0.1),))
+    )
+    for a, b, c in zip(quiet, same, other, strict=True):
+        np.testing.assert_array_equal(a.values, b.values)
+        assert not np.array_equal(a.values, c.values)
 
 
 def test_quiet_machines_keep_the_tape_tight():

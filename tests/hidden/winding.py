@@ -280,7 +280,6 @@ VOLTS = tuple(PLANT.disturbance[name] for name in INPUTS)  # V, deviation of the
 TORQUE_NOISE = (3.0e-5, 3.0e-5, 3.0e-6)  # N m
 TIGHT = 0.02  # N, tape below this tension is slack
 FOREIGN = tuple(name.replace("_", "-") for name in Foreign._fields)
-DEVIATIONS = {**dict(zip(INPUTS, VOLTS, strict=True)), **{name: PLANT.noise[name] for name in OUTPUTS}}
 #: Trial sizes of the foreign physics: well seen, far from breaking the tape.
 TRIAL = dict(zip(FOREIGN, (1e-5, 1e-3, 2e-2, 0.03, 0.01, 1.0, 0.5, 0.05), strict=True))
 
