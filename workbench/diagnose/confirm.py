@@ -1,7 +1,8 @@
 """Is a named effect real? What it gains on records left out, and whether it has the same size in all of them.
 
-Both use the normal equations of the fit: without a record, parameters and effects move to (A - A_f)^-1 (b_f - b); where that
-record starts, and its phases, are found on the record itself.
+Both use the normal equations of the fit. A fold f in the light of the others r, with A = J'J + priors and b = J'e + priors:
+
+    -2 log p(y_f | y_r) = |e_f|^2 + log det S_f + (b_r' A_r^-1 b_r - b' A^-1 b) + (log det A - log det A_r)
 """
 
 from functools import cached_property
@@ -9,11 +10,12 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from workbench.diagnose.fit import Fit, _inverse
+from workbench.diagnose.fit import _inverse
 from workbench.diagnose.refit import Model
 from workbench.records import field, record
 
 SURE = 40.0  # twice the log-likelihood
+ORDER = 3.0  # standard deviations of a size before anything is seen, over the size that was found
 PIECES = 4  # one record is cut into so many
 
 
@@ -24,20 +26,19 @@ class Fold:
     record: int
     first: int
     last: int
-    whole: bool
 
 
 def folds(model: Model) -> list[Fold]:
     """Every record, or pieces of a single one."""
     lengths = [len(r) for r in model.predictor.records]
     if len(lengths) > 1:
-        return [Fold(i, 0, N, True) for i, N in enumerate(lengths)]
-    return [Fold(0, lengths[0] * k // PIECES, lengths[0] * (k + 1) // PIECES, False) for k in range(PIECES)]
+        return [Fold(i, 0, N) for i, N in enumerate(lengths)]
+    return [Fold(0, lengths[0] * k // PIECES, lengths[0] * (k + 1) // PIECES) for k in range(PIECES)]
 
 
 @record
 class LeftOut:
-    """Gain of log-likelihood, twice, on what was left out: by fold, and its standard error from blocks of a second."""
+    """Gain of log-likelihood, twice, on what was left out: by fold, and the standard error of the sum by blocks of a second."""
 
     by_fold: np.ndarray = field("f")
     error: float
@@ -57,65 +58,64 @@ class LeftOut:
 
 
 def left_out(base: Model, extended: Model) -> LeftOut:
-    """What the extension gains on each fold when that fold takes no part in the fit."""
+    """What the extension gains on each fold, predicted from the others with all that they leave open."""
     length = max(5, round(1.0 / base.predictor.plant.dt))
-    gains, blocks = [], []
-    for fold in folds(base):
-        before, after = _predictive(base, fold), _predictive(extended, fold)
-        gain = before - after
-        gains.append(gain.sum())
+    gains = np.array([_surprise(base, fold) - _surprise(extended, fold) for fold in folds(base)])
+    blocks = []
+    for i in range(len(base.predictor.records)):
+        gain = _deviances(base, i) - _deviances(extended, i)
         blocks.append(np.add.reduceat(gain, np.arange(0, max(1, len(gain) - length // 2), length)))
     joined = np.concatenate(blocks)
-    return LeftOut(np.array(gains), float(np.sqrt(len(joined)) * joined.std()))
+    return LeftOut(gains, float(np.sqrt(len(joined)) * joined.std()))
 
 
-def _predictive(model: Model, fold: Fold) -> np.ndarray:
-    """-2 log likelihood of every sample of a fold, predicted by a fit without it."""
-    fit, unknowns = model.fit, model.fit.unknowns
-    i, ny = fold.record, fit.errors[fold.record].shape[1]
-    rows = slice(fold.first * ny, fold.last * ny)
-    own = unknowns.columns(i)
-    J, e = fit.jacobian[i][rows], fit.errors[i][fold.first : fold.last].ravel()
-    A = fit.information.copy()
-    A[np.ix_(own, own)] -= J.T @ J
-    b = fit.gradient.copy()
-    b[own] -= J.T @ e
-    A[np.diag_indices_from(A)] += 1e-9 * np.abs(np.diag(fit.information)) + 1e-12
-    D = _own_directions(fit, fold)
-    A += D @ (D.T @ fit.information @ D) @ D.T  # what only the fold tells must not run away where the others are silent
-    move = -_inverse(A) @ b
-    e = e + J @ (move - D @ (D.T @ move))[own]
-    if D.size:
-        N = J @ D[own]
-        prior, pull = D.T @ np.diag(unknowns.believed.astype(float)) @ D, D.T @ fit.prior
-        e = e - N @ np.linalg.lstsq(N.T @ N + prior, N.T @ e + pull, rcond=None)[0]
-    W = model.predictor.passes[i].whitening[fold.first : fold.last]
-    log_det = -2.0 * np.log(np.einsum("kii->ki", W)).sum(axis=1)
-    return (e.reshape(-1, ny) ** 2).sum(axis=1) + log_det
+def _deviances(model: Model, i: int) -> np.ndarray:
+    """-2 log likelihood of every sample of record i."""
+    W = model.predictor.passes[i].whitening
+    return (model.fit.errors[i] ** 2).sum(axis=1) - 2.0 * np.log(np.einsum("kii->ki", W)).sum(axis=1)
 
 
-def _own_directions(fit: Fit, fold: Fold) -> np.ndarray:
-    """Orthonormal directions (n, c) of the unknowns that a fold alone determines: where its record starts, and its phases.
+def _surprise(model: Model, fold: Fold) -> float:
+    """-2 log p(y_f | y_r) of a fold f in the light of the others r; see the module."""
+    fit, unknowns, i = model.fit, model.fit.unknowns, fold.record
+    lent, pull = _lent(model)
+    A_r, b_r = np.diag(unknowns.believed + lent), fit.prior + pull
+    A_f, b_f = np.zeros_like(A_r), np.zeros_like(b_r)
+    for j, (J, e) in enumerate(zip(fit.jacobian, fit.errors, strict=True)):
+        own, ny = unknowns.columns(j), e.shape[1]
+        inside = np.zeros(len(J), dtype=bool)
+        if j == i:
+            inside[fold.first * ny : fold.last * ny] = True
+        for A, b, rows in ((A_f, b_f, inside), (A_r, b_r, ~inside)):
+            A[np.ix_(own, own)] += J[rows].T @ J[rows]
+            b[own] += J[rows].T @ e.ravel()[rows]
+    (reach, log_det), (reach_r, log_det_r) = _solved(A_r + A_f, b_r + b_f), _solved(A_r, b_r)
+    return float(_deviances(model, i)[fold.first : fold.last].sum()) + reach_r - reach + log_det - log_det_r
 
-    A rotation is a record's own but for the first record: there it is the direction in which cosine and sine turn.
+
+def _lent(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Information (n) for what has no prior, and its pull: without any, a fold could not be predicted from the others at all.
+
+    A size is taken to be of the order of what was found, a rotation is anything from -pi to pi about what was found.
     """
-    unknowns, i = fit.unknowns, fold.record
-    n, nx, _ = unknowns.split
-    found = []
-    if fold.first == 0:  # only these samples tell where the record starts
-        found += list(np.eye(unknowns.size)[n + i * nx : n + (i + 1) * nx])
-    at = n + unknowns.records * nx
-    for t in unknowns.terms:
-        if t.phase and fold.whole:
-            turn = np.zeros(unknowns.size)
-            if i > 0:
-                turn[at + len(t.sizes) + len(t.free) + i - 1] = 1.0
-            else:
-                cosine, sine = fit.z[at : at + 2]
-                turn[at : at + 2] = np.array([-sine, cosine]) / max(np.hypot(cosine, sine), 1e-300)
-            found.append(turn)
-        at += t.count(unknowns.records)
-    return np.array(found).reshape(len(found), unknowns.size).T
+    unknowns, z = model.fit.unknowns, model.fit.z
+    information, pull = np.zeros(unknowns.size), np.zeros(unknowns.size)
+    at = unknowns.size - unknowns.split[2]
+    for t, own in zip(unknowns.terms, unknowns.of_terms(z), strict=True):
+        sizes = slice(at, at + len(t.sizes))
+        information[sizes] = 1.0 / max(ORDER * float(np.linalg.norm(z[sizes])), 1e-300) ** 2
+        pull[sizes] = information[sizes] * z[sizes]
+        information[at + len(t.sizes) + len(t.free) : at + len(own)] = 3.0 / np.pi**2
+        at += len(own)
+    return information, pull
+
+
+def _solved(A: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """b' A^-1 b and log det A."""
+    d = np.sqrt(np.diag(A))
+    L = np.linalg.cholesky(A / np.outer(d, d) + 1e-13 * np.eye(len(d)))
+    x = np.linalg.solve(L, b / d)
+    return float(x @ x), float(2.0 * np.log(np.diag(L) * d).sum())
 
 
 def stability(model: Model, key: str) -> float:

@@ -24,11 +24,12 @@ from workbench.diagnose.answer import (
 from workbench.diagnose.check import check
 from workbench.diagnose.confirm import left_out, stability
 from workbench.diagnose.experiments import Template, deciding
-from workbench.diagnose.gains import errors_on, gained
+from workbench.diagnose.gains import ahead, errors_on, gained
 from workbench.diagnose.predictor import predictor
+from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
-from workbench.diagnose.refit import Model, refit, settled, shortlist, without
-from workbench.diagnose.remainder import Left, remainder
+from workbench.diagnose.refit import Model, refits, settled, shortlist, without
+from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
 from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
 from workbench.physics.plant import EffectSizes, Plant, Slot
@@ -42,9 +43,22 @@ PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no p
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
 CLOSE = 60.0  # BIC below which a model is given noise levels of its own before it is judged
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
+NEARLY, FINALISTS = 0.1, 3  # share of the best refit's gain that a refit may miss and still be fitted to convergence, how many
+ALIKE = 0.9  # share of a signature that another can mimic from which on both are fitted to convergence
+RIVALS = 4  # of each cause, tried in its place beside the others
 MOST = 3
-LONG_RUN = 0.2  # share of the error a second ahead
-ROUNDED = "quantisation"
+LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
+HELPFUL = 0.1  # the same for each of its causes
+ROUNDED, PLAY = "quantisation", "backlash"
+DIGITS = 1e-6  # relative, to which the values of a record tell a step
+
+
+@record
+class Rival:
+    """A model in which another effect stands in the place of a cause."""
+
+    key: str
+    model: Model
 
 
 @record
@@ -58,7 +72,7 @@ class Step:
     rivals: dict[str, float]
     gain: float
     stable: float
-    near: tuple["Step", ...] = ()  # the same step with a rival that ties
+    rival: Rival | None = None  # the closest one that ties
 
 
 def diagnose(
@@ -82,10 +96,10 @@ def diagnose(
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset)]
     found = _searched(plant, dataset, drift is not False, threads, progress)
-    if drift is None and found.finding is Finding.UNKNOWN:
+    if drift is None and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE):
         progress("again, without torques that come and go")
         again = _searched(plant, dataset, False, threads, progress)
-        if again.steps and _helps_a_second_ahead(again, dataset):
+        if again.steps and ahead(found.model, again.model) < 1.0 - LONG_RUN:
             found = again
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
@@ -98,7 +112,7 @@ def diagnose(
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     return Diagnosis(
         plant=plant.name,
-        finding=Finding.NAMED if rounds and found.finding is Finding.NOTHING else found.finding,
+        finding=_with_rounding(found, [r.channel for r in rounded(model.predictor)]),
         causes=(*causes, *rounds),
         recalibrated=_parameters(model),
         untestable=_untestable(base, tested),
@@ -135,51 +149,37 @@ class _Found:
 def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progress: Callable[[str], None]) -> _Found:
     """Recalibrate, search, drop, and look at what is left."""
     progress("recalibrating")
-    made = recalibrated(predictor(plant, dataset, drift=drift, threads=threads))
-    base = Model(made.predictor, made.fit)
-    search = _Search([slot.key for slot in base.predictor.plant.slots], np.zeros(len(plant.slots)), progress)
-    steps = search.path(base, [])
-    if steps and (len(steps) > 1 or steps[0].stable < LEFT_OVER):
-        # what a rival of the first cause explains alone may have taken two
-        for rival in steps[0].near:
-            other = search.path(base, [rival])
-            if other[-1].after.bic < steps[-1].after.bic:
-                steps = other
+    made = recalibrated(predictor(plant, dataset, drift=drift, threads=threads), rounds=1)
+    base = settled(Model(made.predictor, made.fit), np.zeros(len(plant.slots)))
+    # a likelihood without coloured torques calls everything significant: there only what a second ahead shows counts
+    most = np.inf if drift else 1.0 - HELPFUL
+    search = _Search([slot.key for slot in base.predictor.plant.slots], np.zeros(len(plant.slots)), most, progress)
+    steps = search.path(base)
     if len(steps) > 1:
-        progress("dropping")
-        steps = _pruned(base, steps, search.sizes)
+        progress("dropping and swapping")
+        steps = _pruned(base, _swapped(steps, search.sizes), search.sizes)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
     return _Found(base, tuple(steps), tuple(left), tuple(search.tested))
 
 
-def _helps_a_second_ahead(found: _Found, dataset: Dataset) -> bool:
-    """Whether what was named takes LONG_RUN off the errors a second ahead, as a geometric mean over channels and records."""
-    ratios = [
-        g.after / g.before
-        for g in gained(errors_on(found.base, dataset), errors_on(found.model, dataset))
-        if g.horizon == "one-second" and g.before > 0.0 and np.isfinite(g.after)
-    ]
-    return bool(ratios) and float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-12))))) < 1.0 - LONG_RUN
-
-
 class _Search:
-    """Greedy paths through the catalogue from one base; remembers the steps of its differences and the first screen."""
+    """A greedy path through the catalogue; remembers the steps of its differences and the first screen."""
 
-    def __init__(self, keys: Sequence[str], sizes: np.ndarray, progress: Callable[[str], None]):
-        self.keys, self.sizes, self.progress = list(dict.fromkeys(keys)), sizes, progress
+    def __init__(self, keys: Sequence[str], sizes: np.ndarray, most: float, progress: Callable[[str], None]):
+        self.keys, self.sizes, self.most, self.progress = list(dict.fromkeys(keys)), sizes, most, progress
         self.tested: list[Signature] = []
 
-    def path(self, base: Model, steps: list[Step]) -> list[Step]:
-        """`steps` and further ones, as long as something is found."""
-        steps = list(steps)
+    def path(self, base: Model) -> list[Step]:
+        """One effect after the other, as long as something is found."""
+        steps: list[Step] = []
         while len(steps) < MOST:
             model = steps[-1].after if steps else base
             self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
             found = self.screened(model)
             if not found or found[0].p_family > ALPHA:
                 break
-            step = _step(model, found, self.sizes, steps, self.progress)
+            step = _step(model, found, self.sizes, steps, self.most, self.progress)
             if step is None:
                 break
             steps.append(step)
@@ -213,28 +213,51 @@ def _measurable(model: Model, key: str) -> bool:
     return any(np.isfinite(r.y[:, j]).any() for r in model.predictor.records)
 
 
-def _step(model: Model, found: Sequence[Score], sizes: np.ndarray, steps: Sequence[Step], progress) -> Step | None:
-    """The best extension of the model by one effect, if it holds; None otherwise."""
+def _step(
+    model: Model, found: Sequence[Score], sizes: np.ndarray, steps: Sequence[Step], most: float, progress: Callable[[str], None]
+) -> Step | None:
+    """The best extension of the model by one effect, if it holds; most: errors a second ahead, after over before."""
     short = shortlist([s for s in found if s.p_family < ALPHA])
     progress(f"refitting {', '.join(s.key for s in short)}")
-    trials = sorted(((refit(model, s, sizes), s) for s in short), key=lambda pair: pair[0].bic)
-    near = [pair for pair in trials if pair[0].bic < trials[0][0].bic + max(30.0, 0.1 * (model.bic - trials[0][0].bic))][:3]
-    finals = sorted(((settled(trial, sizes), score) for trial, score in near), key=lambda pair: pair[0].bic)
+    trials = refits(model, short, sizes)
+    slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
+    near = {s.key for trial, s in trials[:FINALISTS] if trial.bic < trials[0][0].bic + slack}
+    near |= _alike(model, [s for _, s in trials], sizes)
+    first = settled(trials[0][0], sizes)
+    # rivals begin where the first one ended: what looks alike must not differ by the way that its noise levels went
+    finals = [(first, trials[0][1])]
+    finals += [(settled(t, sizes, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
+    finals.sort(key=lambda pair: pair[0].bic)
     for best, score in finals:
         gain = model.bic - best.bic
-        if gain < WORTH or not _practical(model, best) or not _of_its_own(model.predictor.plant, score.key, gain, steps):
+        # also where the parameters' moves within their tolerance are paid for: what needs them to move is no cause
+        if (
+            min(gain, gain + model.within - best.within) < WORTH
+            or not _practical(model, best)
+            or not _of_its_own(model.predictor.plant, score.key, gain, steps)
+        ):
             continue
-        if not left_out(model, best).holds:
+        if not left_out(model, best).holds or (np.isfinite(most) and ahead(model, best) > most) or _is_rounding(best, score.key):
             continue
         rivals = {s.key: trial.bic - best.bic for trial, s in finals if s.key != score.key}
         rivals |= {s.key: trial.bic - trials[0][0].bic for trial, s in trials if s.key not in rivals and s.key != score.key}
-        near = tuple(
-            Step(s.key, model, trial, s, {score.key: best.bic - trial.bic}, model.bic - trial.bic, stability(trial, s.key))
-            for trial, s in finals
-            if s.key != score.key and trial.bic - best.bic < TIE
-        )
-        return Step(score.key, model, best, score, rivals, gain, stability(best, score.key), near)
+        return Step(score.key, model, best, score, rivals, gain, stability(best, score.key), _closest(finals, score.key))
     return None
+
+
+def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:
+    """Keys of the effects whose signatures are those of the first one, but for a share of 1 - ALIKE."""
+    made = signatures(model.predictor, model.fit, [s.best.variant for s in found], sizes, columns=True)
+    return {s.variant.key for s, share in zip(made, similarity(made)[:, 0], strict=True) if share > ALIKE}
+
+
+def _is_rounding(model: Model, key: str) -> bool:
+    """Whether the play of a sensor is less than the step that its readings are rounded to: rounding looks like play."""
+    effect, place = _at(key)
+    if effect != PLAY:
+        return False
+    size = max(abs(float(model.fit.point.eta[0, i])) for i, slot in enumerate(model.predictor.plant.slots) if slot.key == key)
+    return any(r.channel == place and size < r.step for r in rounded(model.predictor))
 
 
 def _practical(before: Model, after: Model) -> bool:
@@ -251,6 +274,34 @@ def _of_its_own(plant: Plant, key: str, gain: float, steps: Sequence[Step]) -> b
         return SAME_CURVE if first.effect.domain is own.effect.domain else LIKE_THE_FIRST
 
     return all(gain > least(slots[s.key]) * s.gain for s in steps if slots[s.key].place == own.place)
+
+
+def _swapped(steps: list[Step], sizes: np.ndarray) -> list[Step]:
+    """Steps of which none gives way to one of its rivals beside all others; what came first was chosen without them."""
+    steps, model = list(steps), steps[-1].after
+    for j, step in enumerate(steps):
+        rivals = [key for key in sorted(step.rivals, key=lambda key: step.rivals[key]) if key not in model.keys][:RIVALS]
+        if not rivals:
+            continue
+        less = without(model, step.key, sizes)
+        found = _screened(less, rivals, sizes)
+        near = [pair for pair in refits(less, found, sizes) if pair[0].bic < model.bic + 3.0 * TIE] if found else []
+        finals = [(settled(trial, sizes, model.predictor.noise), score) for trial, score in near]
+        finals = sorted([*finals, (model, step.score)], key=lambda pair: pair[0].bic)
+        best, score = finals[0]
+        gaps = {s.key: trial.bic - best.bic for trial, s in finals[1:]}
+        rivals = {key: gap for key, gap in step.rivals.items() if key != score.key} | gaps
+        steps[j] = replace(step, key=score.key, score=score, rivals=rivals, rival=_closest(finals, score.key) or step.rival)
+        model = best
+    steps[-1] = replace(steps[-1], after=model)
+    return steps
+
+
+def _closest(finals: Sequence[tuple[Model, Score]], key: str) -> Rival | None:
+    """The best of the finals with another effect than `key`, if it ties with that one."""
+    named = min(model.bic for model, score in finals if score.key == key)
+    ties = [(model.bic, Rival(score.key, model)) for model, score in finals if score.key != key and model.bic - named < TIE]
+    return min(ties, key=lambda pair: pair[0])[1] if ties else None
 
 
 def _pruned(base: Model, steps: list[Step], sizes: np.ndarray) -> list[Step]:
@@ -278,6 +329,14 @@ def _without(model: Model, key: str, sizes: np.ndarray) -> Model:
     """The model without an effect, with noise levels of its own where it comes close."""
     less = without(model, key, sizes)
     return settled(less, sizes) if less.bic - model.bic < CLOSE else less
+
+
+def _with_rounding(found: _Found, channels: Sequence[str]) -> Finding:
+    """The finding where `channels` are rounded: what is left in their readings only has its name."""
+    left = {x.channel for x in found.left if x.p_family < ALPHA}
+    if channels and not found.steps and left <= {label(("sensor", name)) for name in channels}:
+        return Finding.NAMED
+    return found.finding
 
 
 def _finding(steps: Sequence[Step], left: Sequence[Left], model: Model) -> Finding:
@@ -317,7 +376,7 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
 def _rounded(plant: Plant, r: Rounded) -> Cause:
     """A rounded channel as a cause: it gains nothing in prediction, it says how good a prediction can be."""
     slot = next(s for s in plant.slots if s.effect.id == ROUNDED and s.place == r.channel)
-    step = Estimate(r.step, r.step, r.step, r.unit)
+    step = Estimate(r.step, r.step * (1.0 - DIGITS), r.step * (1.0 + DIGITS), r.unit)
     evidence = Evidence(float(r.samples), 0.0, 1.0)
     return Cause(ROUNDED, r.channel, slot.effect.sentence.format(place=r.channel), {slot.parameter.name: step}, (), evidence)
 
@@ -334,9 +393,9 @@ def _rounding_limits(base: Model) -> tuple[Limit, ...]:
 def _next(steps: Sequence[Step], templates: Sequence[Template]) -> NextExperiment | None:
     """The experiment that decides the closest tie; None where nothing ties."""
     for step in steps:
-        for rival in step.near:
+        if step.rival:
             slot = next(s for s in step.after.predictor.plant.slots if s.key == step.key)
-            return deciding(step.after, rival.after, (step.key, rival.key), templates, slot.effect.separates)
+            return deciding(step.after, step.rival.model, (step.key, step.rival.key), templates, slot.effect.separates)
     return None
 
 
@@ -373,8 +432,14 @@ def _sizes(model: Model, key: str) -> dict[str, Estimate]:
     unknowns, plant = model.fit.unknowns, model.predictor.plant
     sd, z = _spread(model), model.fit.z
     at, found = unknowns.size - unknowns.split[2], {}
+    ends = {j: (v - 1.96 * s, v + 1.96 * s) for j, (v, s) in enumerate(zip(z, sd, strict=True))}
     for t in unknowns.terms:
         if t.key == key:
+            for j, width in rough(model.fit, sd).items():
+                if at <= j < at + t.count(unknowns.records):
+                    inflation = sd[j] ** 2 / max(model.fit.covariance[j, j], 1e-300)
+                    low, high = profile(model.predictor, model.fit, j, width).interval(inflation)
+                    ends[j] = (min(low, ends[j][0]), max(high, ends[j][1]))
             if t.phase:
                 pair = z[at : at + 2]
                 size = float(np.linalg.norm(pair))
@@ -384,12 +449,12 @@ def _sizes(model: Model, key: str) -> dict[str, Estimate]:
                 found["amplitude"] = Estimate(size, max(0.0, size - width), size + width, plant.slots[t.sizes[0]].parameter.unit)
             else:
                 for j, slot in enumerate(t.sizes):
-                    q, value, width = plant.slots[slot].parameter, float(z[at + j]), 1.96 * float(sd[at + j])
-                    found[q.name] = Estimate(value, max(q.low, value - width), min(q.high, value + width), q.unit)
+                    q, value, (low, high) = plant.slots[slot].parameter, float(z[at + j]), ends[at + j]
+                    found[q.name] = Estimate(value, max(q.low, float(low)), min(q.high, float(high)), q.unit)
             for j, slot in enumerate(t.free, start=at + len(t.sizes)):
                 q, value = plant.slots[slot].parameter, float(unknowns.base[slot])
-                now, wide = value * np.exp(z[j]), 1.96 * sd[j]
-                found[q.name] = Estimate(float(now), float(now * np.exp(-wide)), float(now * np.exp(wide)), q.unit)
+                now, low, high = (float(value * np.exp(x)) for x in (z[j], *ends[j]))
+                found[q.name] = Estimate(now, low, high, q.unit)
             for slot in t.shapes:
                 if slot not in t.free:
                     q, value = plant.slots[slot].parameter, float(unknowns.base[slot])

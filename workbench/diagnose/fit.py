@@ -17,7 +17,8 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 FARTHEST = 30.0  # of the logarithm of a parameter from nominal: a step of a singular fit must not overflow
-THETA_STEP, START_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-4, 1e-3, 1e-5
+NEAR = 0.1  # standard deviations of the prior
+THETA_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-3, 1e-5
 
 
 @record
@@ -145,9 +146,9 @@ class Unknowns:
         return z
 
     def steps(self, sizes: np.ndarray) -> np.ndarray:
-        """Step lengths for differences; sizes (ne): a small size of each effect."""
+        """Step lengths for differences, 0 for starts; sizes (ne): a small size of each effect."""
         n, nx, _ = self.split
-        parts = [np.full(n, THETA_STEP), np.full(self.records * nx, START_STEP)]
+        parts = [np.full(n, THETA_STEP), np.zeros(self.records * nx)]
         for t in self.terms:
             rest = [SHAPE_STEP] * len(t.free) + [ANGLE_STEP] * (t.phase * (self.records - 1))
             parts.append(np.array([*(sizes[j] for j in t.sizes), *rest]))
@@ -220,15 +221,20 @@ def _inverse(A: np.ndarray) -> np.ndarray:
 
 
 def jacobian(
-    predictor: Predictor, unknowns: Unknowns, z: np.ndarray, sizes: np.ndarray
+    predictor: Predictor, unknowns: Unknowns, z: np.ndarray, sizes: np.ndarray, known: Sequence[np.ndarray] = ()
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """(errors (N, ny), J (N ny, columns)) of every record at z: one batch of lanes a record."""
+    """(errors (N, ny), J (N ny, columns)) of every record at z: one batch of lanes a record, starts by linearization.
+
+    known: a Jacobian whose columns of parameters are taken over.
+    """
     steps, errors, J = unknowns.steps(sizes), [], []
-    low = unknowns.size - unknowns.split[2]
+    n, nx, k = unknowns.split
+    low = unknowns.size - k
     for i in range(unknowns.records):
         own = unknowns.columns(i)
+        moved = own[n + nx :] if known else np.delete(own, np.arange(n, n + nx))
         moves, signed = [z], []
-        for j in own:
+        for j in moved:
             step = steps[j]
             if j >= low and not np.array_equal(
                 unknowns.clip(z + step * (np.arange(len(z)) == j)), z + step * (np.arange(len(z)) == j)
@@ -241,7 +247,10 @@ def jacobian(
             i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
         )
         errors.append(e[0])
-        J.append(((e[1:] - e[:1]).reshape(len(own), -1) / np.array(signed)[:, None]).T)
+        columns = ((e[1:] - e[:1]).reshape(len(moved), e[0].size) / np.array(signed)[:, None]).T
+        parameters = known[i][:, :n] if known else columns[:, :n]
+        starts = predictor.by_start[i].reshape(-1, nx) * unknowns.scale[i]
+        J.append(np.concatenate([parameters, starts, columns[:, columns.shape[1] - k :]], axis=1))
     return tuple(errors), tuple(J)
 
 
@@ -255,11 +264,19 @@ def gauss_newton(
     enough: float = 0.05,
     chords: int = 3,
 ) -> Fit:
-    """Minimise from z: at most `rounds` Jacobians, each for up to `chords` steps; stops where a step gains less than `enough`."""
+    """Minimise from z: at most `rounds` Jacobians, each for up to `chords` steps; stops where a step gains less than `enough`.
+
+    Parameters' columns are made anew where a parameter has moved by more than NEAR.
+    """
     z = unknowns.clip(z)
-    fit = None
+    fit, known, made_at = None, (), z
+    n = unknowns.split[0]
     for _ in range(rounds):
-        e, J = jacobian(predictor, unknowns, z, sizes)
+        if np.any(np.abs(z - made_at)[:n] > NEAR) or not unknowns.terms:
+            known = ()
+        e, J = jacobian(predictor, unknowns, z, sizes, known)
+        if not known:
+            known, made_at = J, z
         fit = Fit(unknowns, z, e, J)
         began = cost = fit.cost
         A, _ = _normal(unknowns, J, e)

@@ -128,3 +128,14 @@ def errors_on(model: Model, dataset: Dataset) -> tuple[Score, ...]:
 def gained(before: Sequence[Score], after: Sequence[Score]) -> tuple[Gain, ...]:
     """Errors of two models beside each other."""
     return tuple(Gain(b.channel, b.horizon, b.error, a.error, b.unit, b.record) for b, a in zip(before, after, strict=True))
+
+
+def ahead(before: Model, after: Model) -> float:
+    """Errors a second ahead on the models' own records, after over before: geometric mean over channels and records."""
+    logs = []
+    for i in range(len(before.predictor.records)):
+        e = [errors(m.predictor, m.fit.point, i, "one-second") for m in (before, after)]
+        for j in np.flatnonzero(np.isfinite(e[0]).any(axis=0)):
+            old, new = (np.nanmean(x[:, j] ** 2) for x in e)
+            logs.append(0.5 * np.log(max(new, 1e-300) / max(old, 1e-300)))
+    return float(np.exp(np.mean(logs))) if logs else 1.0

@@ -32,71 +32,125 @@ def gains(line: Linearization, process: np.ndarray, measurement: np.ndarray) -> 
     """Kalman gains from a known start (P = 0) for standard deviations of process (nw) and measurement noise (ny)."""
     N, ny, n = line.H.shape
     K, W = np.zeros((N, n, ny)), np.zeros((N, ny, ny))
-    nothing = np.empty((0, n, ny))
-    _, log_det = _run(line, process, measurement, K, W, nothing, np.empty((0, ny)))
+    none, last = np.empty((0, ny)), np.empty((0, n, 0))
+    _, log_det = _run(line, process, measurement, K, W, np.empty((0, n, ny)), none, none, np.empty((0, 0)), last)
     return Pass(K, W, log_det)
 
 
-def deviance(line: Linearization, process, measurement, gain: np.ndarray, innovations: np.ndarray) -> float:
-    """-2 log likelihood (but for a constant) that other noise levels give the innovations (N, ny) of a filter with `gain`.
+@record
+class Likelihood:
+    """-2 log likelihood but for a constant, and its slopes over the variances of process (nw) and measurement noise (ny).
 
-    To first order: the deviation d of the state from that filter's prediction obeys d+ = F (d - gain e) + w, e = H d + v.
+    decay: the slope over a number that is added to the last diagonal entries of F.
+    """
+
+    deviance: float
+    process: np.ndarray
+    measurement: np.ndarray
+    decay: float
+
+
+def likelihood(
+    line: Linearization, process: np.ndarray, measurement: np.ndarray, gain: np.ndarray, innovations: np.ndarray, fading: int = 0
+) -> Likelihood:
+    """What other noise levels make of the innovations (N, ny) of a filter with `gain`; fading: how many last entries decay.
+
+    To first order: the deviation d of the state from that filter's prediction obeys d+ = F (d - gain e) + w, e = H d + v. The
+    slopes are those of the disturbance smoother: E[w w'], E[v v'] in the light of the whole record (Koopman and Shephard 1992).
     """
     N, ny, n = line.H.shape
-    K, W = np.zeros((N, n, ny)), np.zeros((N, ny, ny))
-    cost, log_det = _run(line, process, measurement, K, W, gain, innovations)
-    return cost + log_det
+    K, W, e = np.zeros((N, n, ny)), np.zeros((N, ny, ny)), np.zeros((N, ny))
+    d, A = np.zeros((N, fading)), np.zeros((N, n, fading))
+    cost, log_det = _run(line, process, measurement, K, W, gain, innovations, e, d, A)
+    by_process, by_measurement = np.zeros(len(process)), np.zeros(ny)
+    F, G, H = (np.ascontiguousarray(a) for a in (line.F, line.G, line.H))
+    by_decay = _slopes(F, G, H, np.ascontiguousarray(line.present), K, W, e, d, A, by_process, by_measurement)
+    return Likelihood(cost + log_det, by_process, by_measurement, by_decay)
 
 
-def _run(line: Linearization, process, measurement, K, W, gain, innovations) -> tuple[float, float]:
-    """The compiled pass; K and W are filled."""
-    F, G, H, present, gain, e = (
+def _run(line: Linearization, process, measurement, K, W, gain, innovations, e, d, A) -> tuple[float, float]:
+    """The compiled pass; K, W, the innovations e, and of the last states d and the columns A of their covariance are filled."""
+    F, G, H, present, gain, old = (
         np.ascontiguousarray(a) for a in (line.F, line.G, line.H, line.present, gain, innovations)
     )  # fmt: skip
-    return _filter(F, G, H, present, process**2, measurement**2, K, W, gain, e)
+    return _filter(F, G, H, present, process**2, measurement**2, K, W, gain, old, e, d, A)
 
 
-def response(line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.ndarray | None = None) -> np.ndarray:
+def response(
+    line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.ndarray | None = None, start: np.ndarray | None = None
+) -> np.ndarray:
     """Change of the innovations (N, ny, c) when push (N, n, c) is added to the states after each sample.
 
-    d+ = F (d + K out) + push,  out = shift - H d:  `shift` (N, ny, c) is an error of the sensors themselves.
+    d+ = F (d + K out) + push,  out = shift - H d:  `shift` (N, ny, c) is an error of the sensors themselves, `start` (n, c) one
+    of the states at the first sample. What was not measured does not change.
     """
-    N, ny, _ = line.H.shape
+    N, ny, n = line.H.shape
     out = np.empty((N, ny, push.shape[2]))
     shift = np.zeros_like(out) if shift is None else shift
+    start = np.zeros((n, push.shape[2])) if start is None else start
     F, H, gain, push, shift = (np.ascontiguousarray(a) for a in (line.F, line.H, gain, push, shift))
-    _respond(F, H, gain, push, shift, out)
+    _respond(F, H, gain, push, shift, start.copy(), out)
+    out[~line.present] = 0.0
     return out
 
 
-# one signature each: arrays are made contiguous before they come here
+# one signature each: arrays are made contiguous before they come here. Most entries of F, G and H are 0: loops skip them, and run
+# along rows
+@njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
+def _between(F, k, A, B, P):
+    """P = F_k A F_k', symmetric; B (n, n) is room to work in."""
+    n = len(A)
+    for i in range(n):
+        for j in range(i + 1):
+            A[i, j] = A[j, i] = 0.5 * (A[i, j] + A[j, i])
+    B[:, :] = 0.0  # (F A)' = A F'
+    P[:, :] = 0.0
+    for i in range(n):
+        for m in range(n):
+            f = F[k, i, m]
+            if f != 0.0:
+                for j in range(n):
+                    P[i, j] += f * A[m, j]
+    for i in range(n):
+        for j in range(n):
+            B[j, i] = P[i, j]
+    P[:, :] = 0.0
+    for i in range(n):
+        for m in range(n):
+            f = F[k, i, m]
+            if f != 0.0:
+                for j in range(n):
+                    P[i, j] += f * B[m, j]
+
+
 @njit(
     "UniTuple(f8, 2)(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, ::1])",
+    "f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True, error_model="numpy",
 )  # fmt: skip
-def _filter(F, G, H, present, q, r, K, W, old, e):
+def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
     N, ny, n = H.shape
     nw = G.shape[2]
     P, A, B = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
-    S, L, HP = np.zeros((ny, ny)), np.zeros((ny, ny)), np.zeros((ny, n))
-    d, ahead, w = np.zeros(n), np.zeros(n), np.zeros(ny)
+    S, L, HP, KH = np.zeros((ny, ny)), np.zeros((ny, ny)), np.zeros((ny, n)), np.zeros((ny, n))
+    d, ahead = np.zeros(n), np.zeros(n)
     cost, log_det = 0.0, 0.0
     for k in range(N):
+        HP[:, :] = 0.0
         for i in range(ny):
-            for j in range(n):
-                total = 0.0
-                if present[k, i]:
-                    for m in range(n):
-                        if H[k, i, m] != 0.0:
-                            total += H[k, i, m] * P[m, j]
-                HP[i, j] = total
+            if present[k, i]:
+                for m in range(n):
+                    h = H[k, i, m]
+                    if h != 0.0:
+                        for j in range(n):
+                            HP[i, j] += h * P[m, j]
         for i in range(ny):
             for j in range(i + 1):
                 total = 0.0
                 if present[k, i] and present[k, j]:
                     for m in range(n):
-                        total += HP[i, m] * H[k, j, m]
+                        if H[k, j, m] != 0.0:
+                            total += HP[i, m] * H[k, j, m]
                 if i == j:
                     total = total + r[i] if present[k, i] else 1.0
                 S[i, j] = total
@@ -116,74 +170,182 @@ def _filter(F, G, H, present, q, r, K, W, old, e):
                 for m in range(j, i):
                     total -= L[i, m] * W[k, m, j]
                 W[k, i, j] = total / L[i, i]
-        for i in range(n):  # K = (W HP)' W
-            for a in range(ny):
-                w[a] = 0.0
-                for b in range(a + 1):
-                    w[a] += W[k, a, b] * HP[b, i]
-            for j in range(ny):
-                total = 0.0
-                for a in range(j, ny):
-                    total += w[a] * W[k, a, j]
-                K[k, i, j] = total if present[k, j] else 0.0
-        if len(e) > 0:
+        KH[:, :] = 0.0  # K' = W' (W HP)
+        for a in range(ny):
+            ahead[:] = 0.0
+            for b in range(a + 1):
+                for i in range(n):
+                    ahead[i] += W[k, a, b] * HP[b, i]
+            for j in range(a + 1):
+                for i in range(n):
+                    KH[j, i] += W[k, a, j] * ahead[i]
+        for j in range(ny):
+            if present[k, j]:
+                for i in range(n):
+                    K[k, i, j] = KH[j, i]
+        if len(told) > 0:
             for i in range(ny):
                 total = 0.0
                 if present[k, i]:
-                    total = e[k, i]
+                    total = told[k, i]
                     for m in range(n):
                         total -= H[k, i, m] * d[m]
-                w[i] = total
+                e[k, i] = total
             for i in range(ny):
                 total = 0.0
                 for j in range(i + 1):
-                    total += W[k, i, j] * w[j]
+                    total += W[k, i, j] * e[k, j]
                 cost += total * total
             for i in range(n):
                 for j in range(ny):
-                    d[i] += K[k, i, j] * w[j]
+                    d[i] += K[k, i, j] * e[k, j]
                     if present[k, j]:
-                        d[i] -= old[k, i, j] * e[k, j]
+                        d[i] -= old[k, i, j] * told[k, j]
+            for i in range(last.shape[1]):
+                last[k, i] = d[n - last.shape[1] + i]
             for i in range(n):
                 ahead[i] = 0.0
                 for j in range(n):
                     ahead[i] += F[k, i, j] * d[j]
             d[:] = ahead
+        for i in range(n):  # A = P - K HP, symmetric
+            for j in range(n):
+                A[i, j] = P[i, j]
+            for a in range(ny):
+                g = K[k, i, a]
+                if g != 0.0:
+                    for j in range(n):
+                        A[i, j] -= g * HP[a, j]
+        _between(F, k, A, B, P)
+        for i in range(columns.shape[2]):
+            for j in range(n):
+                columns[k, j, i] = A[j, n - columns.shape[2] + i]
+        for m in range(nw):
+            for i in range(n):
+                g = G[k, i, m]
+                if g != 0.0:
+                    for j in range(n):
+                        P[i, j] += g * q[m] * G[k, j, m]
+    return cost, log_det
+
+
+@njit(
+    "f8(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1],"
+    "f8[:, :, ::1], f8[::1], f8[::1])",
+    cache=True, error_model="numpy",
+)  # fmt: skip
+def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
+    """Slopes of the deviance, from the end back: r- = H' S^-1 e + (I - K H)' F' r, and X its covariance."""
+    N, ny, n = H.shape
+    nw = G.shape[2]
+    X, B, C = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    r, back, u, w = np.zeros(n), np.zeros(n), np.zeros(ny), np.zeros(ny)
+    KB, SI = np.zeros((ny, n)), np.zeros((ny, ny))
+    fading, by_decay = last.shape[1], 0.0
+    for k in range(N - 1, -1, -1):
+        for m in range(nw):
+            along, bend = 0.0, 0.0
+            for i in range(n):
+                g = G[k, i, m]
+                if g != 0.0:
+                    along += g * r[i]
+                    for j in range(n):
+                        bend += g * X[i, j] * G[k, j, m]
+            by_q[m] += bend - along * along
+        back[:] = 0.0  # F' r, B = F' X F
+        C[:, :] = 0.0
+        for i in range(n):
+            for m in range(n):
+                f = F[k, i, m]
+                if f != 0.0:
+                    back[m] += f * r[i]
+                    for j in range(n):
+                        C[m, j] += f * X[i, j]
         for i in range(n):
             for j in range(n):
-                total = P[i, j]
-                for a in range(ny):
-                    total -= K[k, i, a] * HP[a, j]
-                A[i, j] = total
-        for i in range(n):
-            for j in range(n):
-                A[i, j] = A[j, i] = 0.5 * (A[i, j] + A[j, i])
+                X[j, i] = C[i, j]
         B[:, :] = 0.0
         for i in range(n):
             for m in range(n):
                 f = F[k, i, m]
                 if f != 0.0:
                     for j in range(n):
-                        B[i, j] += f * A[m, j]
+                        B[m, j] += f * X[i, j]
+        for f in range(fading):  # E[r d'] - X F A, of the last states
+            i = n - fading + f
+            there = last[k, f]
+            for j in range(n):
+                there += columns[k, j, f] * back[j]
+                by_decay += 2.0 * C[j, i] * columns[k, j, f]
+            by_decay -= 2.0 * r[i] * there
+        for a in range(ny):
+            w[a] = 0.0
+            for b in range(a + 1):
+                w[a] += W[k, a, b] * e[k, b]
+        for b in range(ny):  # u = S^-1 e - K' F' r
+            u[b] = 0.0
+            for a in range(b, ny):
+                u[b] += W[k, a, b] * w[a]
+            for i in range(n):
+                u[b] -= K[k, i, b] * back[i]
+        KB[:, :] = 0.0
         for i in range(n):
-            for j in range(i + 1):
-                total = 0.0
-                for m in range(n):
-                    total += B[i, m] * F[k, j, m]
-                for m in range(nw):
-                    total += G[k, i, m] * q[m] * G[k, j, m]
-                P[i, j] = P[j, i] = total
-    return cost, log_det
+            for a in range(ny):
+                g = K[k, i, a]
+                if g != 0.0:
+                    for j in range(n):
+                        KB[a, j] += g * B[i, j]
+        for a in range(ny):
+            for b in range(ny):
+                SI[a, b] = 0.0
+                for m in range(max(a, b), ny):
+                    SI[a, b] += W[k, m, a] * W[k, m, b]
+            if present[k, a]:
+                by_r[a] += SI[a, a] - u[a] * u[a]
+                for i in range(n):
+                    by_r[a] += KB[a, i] * K[k, i, a]
+        # r = H' u + F' r, X = (I - K H)' B (I - K H) + H' S^-1 H, one factor after the other: multiplied out it is unstable
+        for b in range(ny):
+            if present[k, b]:
+                for j in range(n):
+                    h = H[k, b, j]
+                    if h != 0.0:
+                        back[j] += h * u[b]
+                        for i in range(n):
+                            B[i, j] -= KB[b, i] * h
+        KB[:, :] = 0.0
+        for i in range(n):
+            for a in range(ny):
+                g = K[k, i, a]
+                if g != 0.0:
+                    for j in range(n):
+                        KB[a, j] += g * B[i, j]
+        for a in range(ny):
+            if present[k, a]:
+                for i in range(n):
+                    h = H[k, a, i]
+                    if h != 0.0:
+                        for j in range(n):
+                            B[i, j] -= h * KB[a, j]
+                        for b in range(ny):
+                            if present[k, b]:
+                                for j in range(n):
+                                    B[i, j] += h * SI[a, b] * H[k, b, j]
+        for i in range(n):
+            for j in range(n):
+                X[i, j] = 0.5 * (B[i, j] + B[j, i])
+        r[:] = back
+    return by_decay
 
 
 @njit(
-    "void(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1])",
+    "void(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True, error_model="numpy",
 )  # fmt: skip
-def _respond(F, H, K, push, shift, out):
+def _respond(F, H, K, push, shift, d, out):
     N, ny, n = H.shape
     c = push.shape[2]
-    d, x = np.zeros((n, c)), np.zeros((n, c))
+    x = np.zeros((n, c))
     for k in range(N):
         for i in range(ny):
             for j in range(c):

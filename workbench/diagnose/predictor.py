@@ -11,12 +11,12 @@ W_k e_k with W S W' = I.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from workbench.data import SAME_DT, Dataset, Experiment, bad_stamps
-from workbench.diagnose.kalman import Linearization, Pass, deviance, gains
+from workbench.diagnose.kalman import Linearization, Pass, gains, response
 from workbench.errors import InputError, check_known
 from workbench.noise import measurement_noise
 from workbench.physics import stepper
@@ -24,10 +24,10 @@ from workbench.physics.controller import Playback
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
+FEWEST = 3  # integrator steps a sample: a sensor that lags sees the output as a straight line over each
+UNTOLD = 5  # samples at the start of a record that do not count: what was commanded before them may still be under way
 VISIBLE = 0.05  # standard deviations of a whitened error that the integrator may be off
 LOOK = 600  # samples on which that is looked at
-MEMORY = 3.0  # s, the slowest coloured torque; what is slower shall be explained
-TUNING = 0.2  # step in the logarithm of a noise level
 STEP = 1e-6  # of a state's scale, for differences of the flow
 
 
@@ -44,6 +44,13 @@ class Record:
     y: np.ndarray = field(None)
     start: np.ndarray = field("nx")
     scale: np.ndarray = field("nx")
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Outputs (N, ny) as a filter may use them: those of the first samples of a record are NaN, see UNTOLD."""
+        y = self.y.copy()
+        y[: UNTOLD if len(y) > 10 * UNTOLD else 0] = np.nan
+        return y
 
     def __len__(self) -> int:
         return len(self.u)
@@ -103,6 +110,7 @@ class Predictor:
     records: tuple[Record, ...]
     entries: tuple[str, ...]
     noise: Noise
+    expected: Noise  # before the records were looked at
     substeps: int
     point: Point
     passes: tuple[Pass, ...] = ()
@@ -113,7 +121,7 @@ class Predictor:
     @property
     def samples(self) -> int:
         """Number of measured values in all records."""
-        return int(sum(np.isfinite(r.y).sum() for r in self.records))
+        return int(sum(np.isfinite(r.seen).sum() for r in self.records))
 
     def errors(
         self, i: int, p: np.ndarray, eta: np.ndarray, start: np.ndarray, *, white: bool = True, drift: bool = True
@@ -121,7 +129,7 @@ class Predictor:
         """Prediction errors (R, N, ny) of record i for R hypotheses p (R, np), eta (R, ne), start (R, nx); 0 where unmeasured."""
         r = self.records[i]
         run = self._run(r, p, eta, start, self._steered(i, drift=drift))
-        e = r.y - run.measured
+        e = r.seen - run.measured
         ran_away = ~np.isfinite(run.measured) | (np.abs(e) > 1e9)
         e = np.where(ran_away, 1e9, np.nan_to_num(e))
         return np.einsum("kij,rkj->rki", self.passes[i].whitening, e) if white else e
@@ -130,20 +138,30 @@ class Predictor:
         """Whitened errors (N, ny) of every record at one point."""
         return [self.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0] for i in range(len(self.records))]
 
+    @cached_property
+    def by_start(self) -> tuple[np.ndarray, ...]:
+        """What a unit of each start state does to the whitened errors, (N, ny, nx) of every record, to first order."""
+        found, nx = [], len(self.plant.states)
+        for line, own in zip(self.lines, self.passes, strict=True):
+            N, n, _ = line.F.shape
+            change = response(line, own.gain, np.zeros((N, n, nx)), start=np.eye(n, nx))
+            found.append(own.whitening @ change)
+        return tuple(found)
+
     def corrected(self, i: int, point: Point) -> np.ndarray:
         """Full states (N, n) of record i after each sample's correction: states, angles, effects' own states, sensor memories."""
         r, gain = self.records[i], self._gain_for_kernel(i)[:, : self._width]
         eta = _smooth(self.plant, point.eta[i])[None]
         run = self._run(r, point.p[None], eta, point.start[i][None], self._steered(i, full=True))
         assert run.full is not None
-        return run.full[0] + np.einsum("kij,kj->ki", gain, np.nan_to_num(r.y - run.measured[0]))
+        return run.full[0] + np.einsum("kij,kj->ki", gain, np.nan_to_num(r.seen - run.measured[0]))
 
     def course(self, i: int) -> Course:
         """States and predictions along record i at the predictor's point."""
         r, gain, at, nx = self.records[i], self._gain_for_kernel(i), self.point, len(self.plant.states)
         run = self._run(r, at.p[None], at.eta[i][None], at.start[i][None], self._steered(i, drift=False, full=True))
         assert run.full is not None
-        e = np.where(np.isfinite(r.y), r.y - run.measured[0], 0.0)
+        e = np.where(np.isfinite(r.seen), r.seen - run.measured[0], 0.0)
         missing = np.einsum("kij,kj->ki", gain[:, :nx], e) / self.plant.dt
         x, angle, inner, _ = np.split(run.full[0], [nx, self._inner, self._memories], axis=1)
         return Course(x, angle, inner, run.measured[0], missing)
@@ -157,49 +175,11 @@ class Predictor:
             new = replace(new, lines=lines, passes=passes, carried=new._carried())
         return new
 
-    def tuned(self, sweeps: int = 3) -> Noise:
-        """Noise levels of the largest likelihood: Newton steps in their logarithms, with the curvature along each of them."""
-        pieces = []
-        for i, line in enumerate(self.lines):
-            e = self.errors(i, self.point.p[None], self.point.eta[i][None], self.point.start[i][None], white=False, drift=False)[
-                0
-            ]
-            gain = self.passes[i].gain.copy()
-            gain[:, gain.shape[1] - len(self.noise.drift) :] = 0.0
-            pieces.append((line, gain, e))
-        nw, nd = len(self.noise.process), len(self.noise.drift)
-
-        def noise(z: np.ndarray) -> Noise:
-            s = np.exp(z)
-            return Noise(s[nw + nd : -1], s[:nw], s[nw : nw + nd], s[-1])
-
-        def cost(z: np.ndarray) -> float:
-            levels = noise(z)
-            a = np.exp(-self.plant.dt / levels.memory)
-            return sum(deviance(_with_decay(line, nd, a), levels.pushes, levels.measurement, gain, e) for line, gain, e in pieces)
-
-        levels = np.log(np.concatenate([self.noise.pushes, self.noise.measurement, [self.noise.memory]]))
-        measured = np.any([np.isfinite(r.y).any(axis=0) for r in self.records], axis=0)
-        free = np.flatnonzero(np.concatenate([np.ones(nw + nd, dtype=bool), measured, [nd > 0]]))
-        best = cost(levels)
-        for _ in range(sweeps):
-            step = np.zeros(len(levels))
-            for j in free:
-                up, down = (cost(levels + sign * TUNING * (np.arange(len(levels)) == j)) for sign in (1.0, -1.0))
-                slope, bend = (up - down) / (2 * TUNING), (up + down - 2 * best) / TUNING**2
-                # where nothing bends the level does not matter, or is far off: a bounded step downhill
-                step[j] = -slope / bend if bend > abs(slope) else -np.sign(slope) * (abs(slope) > 0.5)
-            began = best
-            for share in (1.0, 0.5, 0.25):
-                trial = np.clip(levels + share * step, -60.0, 60.0)
-                trial[-1] = np.clip(trial[-1], np.log(2 * self.plant.dt), np.log(MEMORY))
-                value = cost(trial)
-                if value < best:
-                    best, levels = value, trial
-                    break
-            if began - best < 1.0:
-                break
-        return noise(levels)
+    def with_noise(self, noise: Noise) -> "Predictor":
+        """The same predictor with other noise levels: gains about the trajectories that it has."""
+        nd, decay = len(noise.drift), noise.decay(self.plant.dt)
+        lines = tuple(with_decay(line, nd, decay) for line in self.lines)
+        return replace(self, noise=noise, lines=lines, passes=tuple(gains(x, noise.pushes, noise.measurement) for x in lines))
 
     # ---- inside ------------------------------------------------------------------------------------------------------
 
@@ -233,7 +213,7 @@ class Predictor:
         if not drift:
             gain[:, self._width :] = 0.0
         return stepper.Steering(
-            observed=r.y, gain=gain, decay=np.full(len(self.plant.states), self.noise.decay(self.plant.dt)), full=full
+            observed=r.seen, gain=gain, decay=np.full(len(self.plant.states), self.noise.decay(self.plant.dt)), full=full
         )
 
     @property
@@ -252,7 +232,7 @@ class Predictor:
 
     def _active(self) -> np.ndarray:
         """Indices in the full state that a filter carries: states, angles, and of effects that are on states and memories."""
-        plant, eta = self.plant, self.point.eta
+        plant, eta = self.plant, _smooth(self.plant, self.point.eta)
         on = {slot.key for slot, value in zip(plant.slots, eta.T, strict=True) if not slot.parameter.shape and value.any()}
         inner = [self._inner + j for j, (place, effect) in enumerate(plant.inner) if f"{effect}@{place}" in on]
         kept = [self._memories + j for j, (name, effect) in enumerate(plant.memories) if f"{effect.id}@{name}" in on]
@@ -287,7 +267,7 @@ class Predictor:
         H = self._sensed(corrected, eta[0], active, STEP * size)
         last = [np.concatenate([M, M[-1:]]) for M in (F, G)]
         nd = len(self.noise.drift)
-        return _with_drift(Linearization(last[0], last[1], H, np.isfinite(r.y)), nd, self.noise.decay(plant.dt))
+        return _with_drift(Linearization(last[0], last[1], H, np.isfinite(r.seen)), nd, self.noise.decay(plant.dt))
 
     def _sensed(self, full: np.ndarray, eta: np.ndarray, active: np.ndarray, step: np.ndarray) -> np.ndarray:
         """H (N, ny, n): what a change of the carried states does to the readings of the sensors."""
@@ -316,7 +296,7 @@ def _with_drift(line: Linearization, nd: int, decay: float) -> Linearization:
     return Linearization(F, G, np.concatenate([line.H, np.zeros((N, line.H.shape[1], nd))], axis=2), line.present)
 
 
-def _with_decay(line: Linearization, nd: int, decay: float) -> Linearization:
+def with_decay(line: Linearization, nd: int, decay: float) -> Linearization:
     """The same with another fading of the coloured parts."""
     F = line.F.copy()
     F[:, F.shape[1] - nd :, F.shape[1] - nd :] = decay * np.eye(nd)
@@ -330,9 +310,11 @@ def _player(plant: Plant) -> Playback:
 
 
 def _smooth(plant: Plant, eta: np.ndarray) -> np.ndarray:
-    """The effects without the rounding of sensors: a staircase has no slope that a filter could use."""
-    rounding = [s.effect.id == "quantisation" for s in plant.slots]
-    return np.where(rounding, 0.0, eta)
+    """The effects without rounding and play of sensors: a staircase has no slope that a filter could use, and play tells it
+    nothing while it is not taken up.
+    """
+    steep = [s.effect.id in ("quantisation", "backlash") for s in plant.slots]
+    return np.where(steep, 0.0, eta)
 
 
 def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int = 1) -> Predictor:
@@ -348,7 +330,7 @@ def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: in
     entries = _entries(plant)
     noise = _first_noise(plant, dataset, entries)
     noise = noise if drift else replace(noise, drift=np.empty(0))
-    made = Predictor(plant, records, entries, noise, plant.substeps, point, threads=threads)
+    made = Predictor(plant, records, entries, noise, noise, plant.substeps, point, threads=threads)
     return _first_gains(made)
 
 
@@ -361,7 +343,7 @@ def _first_gains(made: Predictor) -> Predictor:
         )
         line = short._linearized(i)
         F, G, H = (np.repeat(M[:1], len(r), axis=0) for M in (line.F, line.G, line.H))
-        lines.append(Linearization(F, G, H, np.isfinite(r.y)))
+        lines.append(Linearization(F, G, H, np.isfinite(r.seen)))
     passes = tuple(gains(line, made.noise.pushes, made.noise.measurement) for line in lines)
     made = replace(made, lines=tuple(lines), passes=passes, carried=made._carried()).regained(made.point)
     return _coarser(made).regained(made.point)
@@ -376,7 +358,7 @@ def _coarser(made: Predictor) -> Predictor:
         return replace(short, substeps=substeps).errors(0, made.point.p[None], made.point.eta[:1], made.point.start[:1])[0]
 
     fine = errors(4 * made.substeps)
-    substeps = max(1, made.substeps // 4)
+    substeps = max(FEWEST, made.substeps // 4)
     while np.abs(errors(substeps) - fine).max() > VISIBLE and substeps < 4 * made.substeps:
         substeps = substeps + 1 + substeps // 4
     return replace(made, substeps=substeps)
@@ -428,7 +410,7 @@ def _entries(plant: Plant) -> tuple[str, ...]:
 
 
 def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str]) -> Noise:
-    """The plant's stated noise, or an estimate from the records; process noise as a share of what the inputs do."""
+    """The plant's stated noise, or an estimate from the records; pushes as stated, or as a share of what the inputs do."""
     measured = []
     for channel in plant.outputs:
         own = [e for e in dataset if channel.name in e.names]
@@ -439,7 +421,8 @@ def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str]) -> Nois
     x, u = plant.equilibrium()
     B = np.abs(plant.linearize(x, u)[1])
     spread = np.array([max(float(np.std(e[n])) if n in e.names else 0.0 for e in dataset) for n in plant.input_names])
-    push = B @ (0.01 * spread + 1e-9)
+    stated = np.array([plant.disturbance.get(n, 0.0) for n in plant.input_names])
+    push = B @ np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)
     process = [max(push[plant.state_names.index(name)], 1e-3 * push.max(), 1e-12) for name in entries]
     turning = set(plant.turning.values())
     white = np.array(process)

@@ -11,6 +11,7 @@ import numpy as np
 
 from workbench.diagnose.fit import Fit, Term, Unknowns, gauss_newton
 from workbench.diagnose.predictor import Predictor
+from workbench.diagnose.tuning import tuned
 from workbench.errors import check_known
 from workbench.records import record
 
@@ -62,6 +63,6 @@ def recalibrated(
         fit = gauss_newton(predictor, own, z, sizes, rounds=2, enough=2.0)
         z = fit.z
         predictor = predictor.regained(fit.point)
-        predictor = predictor.regained(fit.point, predictor.tuned())
+        predictor = predictor.with_noise(tuned(predictor))
     fit = gauss_newton(predictor, own, z, sizes, rounds=4)
     return Calibrated(replace(predictor, point=fit.point), fit)

@@ -10,10 +10,15 @@ from functools import cached_property
 import numpy as np
 
 from workbench.diagnose.fit import Fit, Term, Unknowns, _evaluate, gauss_newton
-from workbench.diagnose.predictor import Predictor
+from workbench.diagnose.predictor import Noise, Predictor
+from workbench.diagnose.profile import dated
 from workbench.diagnose.screen import Score, Signature, dated_variants, signatures
+from workbench.diagnose.tuning import tuned
 from workbench.records import record
 
+CONVERGED = 3.0  # deviance: half of what a cause must be worth
+SETTLINGS = 4
+CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
 
 
@@ -37,12 +42,20 @@ class Model:
         """How many numbers the effects add: what BIC counts."""
         return sum(t.count(len(self.predictor.records)) for t in self.terms)
 
+    @property
+    def within(self) -> float:
+        """What the prior makes of the parameters' deviations from nominal, as far as they are within their tolerance."""
+        return float(np.sum(np.minimum(np.abs(self._theta), np.sqrt(3.0)) ** 2))
+
     @cached_property
     def deviance(self) -> float:
         """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost."""
-        theta = np.abs(self.fit.z[: self.fit.unknowns.split[0]])
-        beyond = np.maximum(theta - np.sqrt(3.0), 0.0)
+        beyond = np.maximum(np.abs(self._theta) - np.sqrt(3.0), 0.0)
         return self.fit.squares + float(beyond @ beyond) + sum(p.log_det for p in self.predictor.passes)
+
+    @property
+    def _theta(self) -> np.ndarray:
+        return self.fit.z[: self.fit.unknowns.split[0]]
 
     @property
     def bic(self) -> float:
@@ -105,8 +118,25 @@ def start(model: Model, signature: Signature) -> tuple[Unknowns, list[np.ndarray
     return unknowns, guesses
 
 
-def refit(model: Model, score: Score, sizes: np.ndarray, *, rounds: int = 1) -> Model:
-    """The model with the effect of a score added: the best start of all its variants, then Gauss-Newton steps."""
+def refits(model: Model, found: Sequence[Score], sizes: np.ndarray) -> list[tuple[Model, Score]]:
+    """The model with the effect of each score added, best first: fitted, the more promising ones at noise levels of their own."""
+    quick = [(*_refit(model, score, sizes), score) for score in found]
+    best = max(model.bic - fitted.bic for fitted, _, _ in quick)
+    done = []
+    for rank, (fitted, start, score) in enumerate(sorted(quick, key=lambda item: item[0].bic)):
+        if rank < CLOSER or model.bic - fitted.bic > 0.5 * best:
+            fitted = min((fitted, _at_own_noise(model.predictor, start, sizes)), key=lambda m: m.bic)
+        done.append((fitted, score))
+    return sorted(done, key=lambda item: item[0].bic)
+
+
+def refit(model: Model, score: Score, sizes: np.ndarray) -> Model:
+    """The model with the effect of a score added."""
+    return refits(model, [score], sizes)[0][0]
+
+
+def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
+    """A fit with the effect of a score at the model's noise levels, and the best start of all its variants that it came from."""
     best: Fit | None = None
     for signature in candidates(model, score, sizes):
         unknowns, guesses = start(model, signature)
@@ -115,16 +145,44 @@ def refit(model: Model, score: Score, sizes: np.ndarray, *, rounds: int = 1) -> 
         if best is None or tried.cost < best.cost:
             best = tried
     assert best is not None
-    fit = gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=rounds, chords=4, enough=0.5)
-    return Model(model.predictor, fit)
+    return Model(
+        model.predictor, gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=1, chords=4, enough=0.5)
+    ), best
 
 
-def settled(model: Model, sizes: np.ndarray, *, rounds: int = 3) -> Model:
-    """The model with gains and noise levels of its own, fitted to convergence."""
-    predictor = model.predictor.regained(model.fit.point)
-    predictor = predictor.regained(model.fit.point, predictor.tuned())
-    fit = gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, rounds=rounds, enough=0.2)
-    return Model(replace(predictor, point=fit.point), fit)
+def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:
+    """A fit from the point of another, with gains and noise levels made there.
+
+    The filter of a model without an effect neither carries what the effect remembers nor has noise levels that suit it.
+    """
+    predictor = predictor.regained(at.point)
+    predictor = predictor.with_noise(tuned(predictor, share=0.5))
+    return Model(predictor, gauss_newton(predictor, at.unknowns, at.z, sizes, rounds=3, chords=4, enough=0.5))
+
+
+def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Model:
+    """The model with gains and noise levels of its own, fitted to convergence: as long as that gains more than CONVERGED.
+
+    noise: other levels to begin with, where they are better than the model's own.
+    """
+    if noise is not None:
+        predictor = model.predictor.regained(model.fit.point).with_noise(noise)
+        other = Model(predictor, gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, enough=0.2))
+        model = min((model, other), key=lambda m: m.deviance)
+    z = dated(model.predictor, model.fit)
+    if not np.array_equal(z, model.fit.z):
+        moved = Model(model.predictor, gauss_newton(model.predictor, model.fit.unknowns, z, sizes, enough=0.2))
+        model = min((model, moved), key=lambda m: m.deviance)
+    for _ in range(SETTLINGS):
+        predictor = model.predictor.regained(model.fit.point)
+        predictor = predictor.with_noise(tuned(predictor))
+        fit = gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, enough=0.2)
+        better = Model(replace(predictor, point=fit.point), fit)
+        gained = model.deviance - better.deviance
+        model = better if gained > 0.0 else model
+        if gained < CONVERGED:
+            break
+    return model
 
 
 def without(model: Model, key: str, sizes: np.ndarray) -> Model:

@@ -24,7 +24,7 @@ from workbench.records import field, record
 
 WANTED = 1.0  # change of the whitened errors that a step of a difference shall make
 DRAWS = 300
-COARSE = 3  # values of a shape's grid that are screened
+COARSE, FINE = 3, 6  # values of a shape's grid that are screened; of a date or a period more
 RAN_AWAY = 1e6  # standard deviations
 FEW = 12  # blocks, below which flipping signs gives no distribution
 SIGNIFICANT = 0.01  # family-wise
@@ -120,25 +120,33 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
             unit = length if q.grid_unit is GridUnit.RECORD else plant.dt if q.grid_unit is GridUnit.SAMPLE else 1.0
             # some values of a grid: a refit finds what lies between
             values = (
-                [q.grid[j] for j in sorted({round(x) for x in np.linspace(0, len(q.grid) - 1, COARSE + 2)[1:-1]})]
+                [
+                    q.grid[j]
+                    for j in sorted(
+                        {round(x) for x in np.linspace(0, len(q.grid) - 1, (FINE if q.unit == "s" else COARSE) + 2)[1:-1]}
+                    )
+                ]
                 if q.grid
                 else []
             )
             grids.append([(i, min(max(v * unit, q.low), q.high)) for v in values] or [(i, q.default)])
         finite = [g * _unit(plant, predictor, effect.grid_unit, plant.slots[own[0]].place) for g in effect.grid] or [np.nan]
+        if effect.grid:  # of an irregular effect the sizes are tried, a refit finds the shapes
+            grids = [[(i, plant.slots[i].parameter.default)] for i in shapes]
         for chosen in _one_at_a_time(shapes, grids, plant):
             found += [Variant(key, sizes, chosen, g, effect.phase) for g in finite if g > 0.0 or np.isnan(g)]
     return found
 
 
 def dated_variants(predictor: Predictor, v: Variant) -> list[Variant]:
-    """A variant at every date of its effect's grid; none where the effect has no date."""
+    """A variant at every date or period of its effect's grid; none where the effect has no such shape."""
     plant = predictor.plant
     length = max(len(r) for r in predictor.records) * plant.dt
     for i, _ in v.shapes:
         q = plant.slots[i].parameter
-        if q.grid_unit is GridUnit.RECORD:
-            return [replace(v, shapes=tuple((j, g * length if j == i else value) for j, value in v.shapes)) for g in q.grid]
+        if q.grid_unit is GridUnit.RECORD or (q.unit == "s" and q.grid and not v.phase):
+            unit = length if q.grid_unit is GridUnit.RECORD else 1.0
+            return [replace(v, shapes=tuple((j, g * unit if j == i else value) for j, value in v.shapes)) for g in q.grid]
     return []
 
 

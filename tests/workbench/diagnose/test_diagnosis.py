@@ -55,10 +55,17 @@ def test_what_the_robot_lacks_is_named_with_its_size_and_its_gain_on_other_recor
     check(diagnose(ROBOT, robot_records(3, effects), robot_records(4, effects)), key, name, size)
 
 
-@pytest.mark.xfail(reason="noise levels are not tuned to the end beside a delay, a second cause explains what is left")
-def test_a_dead_time_of_one_sample_is_named_alone():
+@pytest.mark.parametrize("seed", [3, 5, 7])
+def test_a_dead_time_of_one_sample_is_named_alone(seed):
+    """What was commanded before the record began is still under way at its first sample and must not be explained."""
     effects = {"input-delay@u": {"time": 0.02}}
-    check(diagnose(ROBOT, robot_records(3, effects), robot_records(4, effects)), "input-delay@u", "time", 0.02)
+    check(diagnose(ROBOT, robot_records(seed, effects), robot_records(seed + 1, effects)), "input-delay@u", "time", 0.02)
+
+
+@pytest.mark.parametrize(("seed", "period"), [(3, 4.0), (5, 4.0), (5, 9.0)])
+def test_a_mass_that_swings_is_named_whatever_its_period(seed, period):
+    effects = {"platform-mass@rail": {"swing": 0.3, "period": period}}
+    check(diagnose(ROBOT, robot_records(seed, effects), robot_records(seed + 1, effects)), "platform-mass@rail", "period", period)
 
 
 def test_a_periodic_effect_is_named_with_its_amplitude_and_order():

@@ -1,11 +1,13 @@
 """The filter against its textbook, python-control and the likelihood of a Gaussian vector written out."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from workbench.diagnose.kalman import Linearization, deviance, gains, response
+from workbench.diagnose.kalman import Linearization, gains, likelihood, response
 
 N, n, ny, nw = 30, 3, 2, 2
 Q, R = np.array([0.3, 0.05]), np.array([0.2, 0.7])
@@ -96,7 +98,7 @@ def test_deviance_is_the_gaussian_likelihood_of_the_record_at_noise_levels_that_
     for q, r in ((Q, R), (0.2 * Q, 1.7 * R), (np.array([1.0, 0.01]), R)):
         cov = covariance_of_outputs(line, q, r)[np.ix_(seen, seen)]
         exact = -2.0 * multivariate_normal(np.zeros(len(cov)), cov).logpdf(y.ravel()[seen]) - len(cov) * np.log(2 * np.pi)
-        assert deviance(line, q, r, old.gain, e) == pytest.approx(exact, rel=1e-9)
+        assert likelihood(line, q, r, old.gain, e).deviance == pytest.approx(exact, rel=1e-9)
 
 
 def test_deviance_at_the_noise_levels_of_the_gain_is_that_of_its_own_innovations():
@@ -104,7 +106,38 @@ def test_deviance_at_the_noise_levels_of_the_gain_is_that_of_its_own_innovations
     done = gains(line, Q, R)
     e = innovations(line, done.gain, np.random.default_rng(5).standard_normal((N, ny)))
     white = np.einsum("kij,kj->ki", done.whitening, e)
-    assert deviance(line, Q, R, done.gain, e) == pytest.approx(np.sum(white**2) + done.log_det, rel=1e-10)
+    assert likelihood(line, Q, R, done.gain, e).deviance == pytest.approx(np.sum(white**2) + done.log_det, rel=1e-10)
+
+
+def test_slopes_of_the_likelihood_are_those_of_differences():
+    line = varying(3)
+    old = gains(line, 3.0 * Q, 0.4 * R)
+    e = innovations(line, old.gain, 2.0 * np.random.default_rng(6).standard_normal((N, ny)))
+    found, h = likelihood(line, Q, R, old.gain, e, fading=2), 1e-5
+
+    def slope(up, down):
+        return (up.deviance - down.deviance) / (2 * h)
+
+    for j in range(nw):
+        up, down = (np.sqrt(Q**2 + sign * h * (np.arange(nw) == j)) for sign in (1, -1))
+        assert found.process[j] == pytest.approx(slope(*(likelihood(line, q, R, old.gain, e) for q in (up, down))), rel=1e-5)
+    for j in range(ny):
+        up, down = (np.sqrt(R**2 + sign * h * (np.arange(ny) == j)) for sign in (1, -1))
+        assert found.measurement[j] == pytest.approx(slope(*(likelihood(line, Q, r, old.gain, e) for r in (up, down))), rel=1e-5)
+    up, down = (replace(line, F=line.F + sign * h * np.diag([0.0, 1.0, 1.0])) for sign in (1, -1))
+    assert found.decay == pytest.approx(slope(*(likelihood(x, Q, R, old.gain, e) for x in (up, down))), rel=1e-5)
+
+
+def test_slopes_do_not_blow_up_where_gains_are_large():
+    """Pushes a million times the readings' noise over many samples: multiplied out, the backward pass would overflow."""
+    F, G, H = np.array([[1.0, 0.02], [0.0, 0.98]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    line = Linearization(*(np.repeat(M[None], 2000, axis=0) for M in (F, G, H)), np.ones((2000, 1), dtype=bool))
+    e = 1e-3 * np.random.default_rng(0).standard_normal((2000, 1))
+    q, r = np.array([1.0]), np.array([1e-6])
+    still = np.zeros((2000, 2, 1))
+    found = likelihood(line, q, r, still, e)
+    up, down = (likelihood(line, q * s, r, still, e).deviance for s in (1.0 + 1e-5, 1.0 - 1e-5))
+    assert 2.0 * q[0] ** 2 * found.process[0] == pytest.approx((up - down) / 2e-5, rel=1e-3)
 
 
 def test_response_is_the_difference_of_two_filters_of_which_one_is_pushed_and_misread():
@@ -113,16 +146,17 @@ def test_response_is_the_difference_of_two_filters_of_which_one_is_pushed_and_mi
     y, push, shift = (random.standard_normal(s) for s in ((N, ny), (N, n, 2), (N, ny, 2)))
     shift[~line.present] = 0.0
 
-    def errors(push, shift):  # a gain is 0 where nothing was measured, whatever H says
-        x, e = np.zeros(n), np.zeros((N, ny))
+    def errors(push, shift, start):  # a gain is 0 where nothing was measured, whatever H says
+        x, e = start, np.zeros((N, ny))
         for k in range(N):
             e[k] = y[k] + shift[k] - line.H[k] @ x
             x = line.F[k] @ (x + gain[k] @ e[k]) + push[k]
-        return e
+        return np.where(line.present, e, 0.0)
 
-    done, quiet = response(line, gain, push, shift), errors(np.zeros((N, n)), np.zeros((N, ny)))
+    starts = random.standard_normal((n, 2))
+    done, quiet = response(line, gain, push, shift, starts), errors(np.zeros((N, n)), np.zeros((N, ny)), np.zeros(n))
     for c in range(2):
-        np.testing.assert_allclose(done[:, :, c], errors(push[:, :, c], shift[:, :, c]) - quiet, atol=1e-9)
+        np.testing.assert_allclose(done[:, :, c], errors(push[:, :, c], shift[:, :, c], starts[:, c]) - quiet, atol=1e-9)
 
 
 def test_response_to_a_push_is_silent_until_a_sample_later():

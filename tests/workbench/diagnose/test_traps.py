@@ -19,7 +19,7 @@ from workbench.diagnose.screen import Signature, Variant, scores, small_sizes
 def refitted(model: Model, key: str) -> Model:
     """The model with one more effect as the diagnosis finds it: from its score, without a guess."""
     (score,) = screened(model, [key])
-    return refit(model, score, small_sizes(model.predictor, model.fit), rounds=3)
+    return refit(model, score, small_sizes(model.predictor, model.fit))
 
 
 LIGHT = replace(
@@ -84,7 +84,7 @@ def test_trap_3_the_model_without_the_effect_is_as_converged_as_the_one_with_it(
         assert model.fit.cost - again.cost < 0.2
         best = next(s for s in screened(model) if np.isnan(s.best.variant.finite))
         # a refit may gain what the score promises and what its shapes add, not more
-        assert model.deviance - refit(model, best, sizes, rounds=3).deviance < best.statistic + 6.0
+        assert model.deviance - refit(model, best, sizes).deviance < best.statistic + 6.0
 
 
 def test_trap_3_noise_levels_tuned_once_more_are_worth_less_than_a_cause():
@@ -98,7 +98,7 @@ def test_trap_3_noise_levels_tuned_once_more_are_worth_less_than_a_cause():
 )
 def test_trap_4_limits_lags_and_delays_are_found_from_the_error_they_leave_and_not_from_a_linear_step(key, name, size):
     model = fitted(robot_records(3, {key: {name: size}}))
-    found = refitted(model, key)
+    found = settled(refitted(model, key), small_sizes(model.predictor, model.fit))
     slot = found.terms[0].sizes[0]
     assert found.fit.point.eta[0, slot] == pytest.approx(size, rel=0.1)
     assert model.deviance - found.deviance > 100.0

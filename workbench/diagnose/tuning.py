@@ -1,0 +1,94 @@
+"""Noise levels of the largest likelihood, given what is expected of them.
+
+    minimise over q   -2 log p(y | q) + sum_j ((z_j - z0_j) / width_j)^2,    z_j = log(q_j / expected_j + FLOOR),   q: variances
+
+by L-BFGS-B with exact slopes. The likelihood is that of the linearized plant about the predictor's own trajectory. Where it does
+not care about a level, the level stays as expected; one that is none can grow again, which its logarithm would not.
+"""
+
+import numpy as np
+from scipy.optimize import minimize
+
+from workbench.diagnose.kalman import Linearization, likelihood
+from workbench.diagnose.predictor import Noise, Predictor, with_decay
+
+READING = 2.0 * np.log(3.0)  # width for the variance of a measurement, which the data sheet or the records state
+PUSHING = 2.0 * np.log(30.0)  # the same of what pushes the states
+LASTING = np.log(5.0)  # the same of the coloured part's time constant
+FLOOR = 0.03
+LEAST = 1e-4  # of the variance of a measurement: without any the filter has no gain
+LARGEST = np.log(1e16)  # of a variance over what is expected
+SHORTEST = 5.0  # samples: a push that fades faster is as good as white
+MEMORY = 3.0  # s, the slowest coloured torque; what is slower shall be explained
+REACH, REACHES = np.log(100.0), 9  # how far a variance may move in one go, and how often
+ENOUGH, AGAIN = 0.05, 1.0  # of the deviance: a search ends, and is not begun again from where it ended
+
+
+def tuned(predictor: Predictor, *, share: float = 1.0) -> Noise:
+    """The noise levels under which the predictor's own trajectory is most likely; share: of the records that are looked at."""
+    pieces = [_piece(predictor, i) for i in range(int(np.ceil(share * len(predictor.records))))]
+    nw, nd, dt = len(predictor.noise.process), len(predictor.noise.drift), predictor.plant.dt
+    expected = _levels(predictor.expected)
+    width = np.concatenate([np.full(nw + nd, PUSHING), np.full(len(expected) - nw - nd, READING), [LASTING]])
+    middle = np.append(np.full(len(expected), np.log(1.0 + FLOOR)), np.log(predictor.expected.memory))
+    shortest = SHORTEST * dt
+    lowest = np.log(FLOOR + np.append(np.zeros(nw + nd), np.full(len(expected) - nw - nd, LEAST)))
+    bounds = np.array([*((low, LARGEST) for low in lowest), np.log([shortest, max(MEMORY, shortest)])])
+    unit = 1.0 / np.sqrt(1.0 / width**2 + sum(len(e) for _, _, e in pieces))  # a well determined level has this deviation
+
+    is_push = np.arange(len(middle)) < nw + nd
+    is_push[-1] = True
+
+    def noise(z: np.ndarray) -> Noise:
+        s = expected * np.sqrt(np.maximum(np.exp(z[:-1]) - FLOOR, 0.0))
+        return Noise(s[nw + nd :], s[:nw], s[nw : nw + nd], float(np.exp(z[-1])))
+
+    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+        z = x * unit
+        levels, total, slope = noise(z), 0.0, np.zeros(len(z))
+        a = levels.decay(dt)
+        for line, gain, e in pieces:
+            found = likelihood(with_decay(line, nd, a), levels.pushes, levels.measurement, gain, e, nd)
+            total += found.deviance
+            slope += np.concatenate([found.process, found.measurement, [found.decay]])
+        if not np.isfinite(total):
+            return 1e300, np.zeros(len(x))
+        off = (z - middle) / width
+        slope *= np.append(expected**2 * np.exp(z[:-1]), a * dt / levels.memory)
+        return float(total + off @ off), (slope + 2.0 * off / width) * unit
+
+    # from small pushes that fade fast nothing leads to larger ones that last
+    start = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), np.log(predictor.noise.memory))
+    z = np.clip(np.where(is_push, np.maximum(start, middle), start), *bounds.T)
+    for _ in range(REACHES):
+        # a step to where nothing is defined would end a line search
+        near = np.clip(bounds, (z - REACH)[:, None], (z + REACH)[:, None])
+        began = cost(z / unit)[0]
+        options = {"ftol": ENOUGH / max(abs(began), 1.0), "maxiter": 60}
+        found = minimize(cost, z / unit, jac=True, method="L-BFGS-B", bounds=near / unit[:, None], options=options)
+        z = found.x * unit
+        if began - found.fun < AGAIN:
+            break
+    return noise(z)
+
+
+def _levels(noise: Noise) -> np.ndarray:
+    return np.concatenate([noise.pushes, noise.measurement])
+
+
+def _piece(predictor: Predictor, i: int) -> tuple[Linearization, np.ndarray, np.ndarray]:
+    """Linearization, gain and innovations of record i, without the states that no reading depends on (angles, mostly)."""
+    at, line, nd = predictor.point, predictor.lines[i], len(predictor.noise.drift)
+    e = predictor.errors(i, at.p[None], at.eta[i][None], at.start[i][None], white=False, drift=False)[0]
+    gain = predictor.passes[i].gain.copy()
+    gain[:, gain.shape[1] - nd :] = 0.0
+    n = line.F.shape[1]
+    moves = (line.F != 0.0).any(axis=0)
+    felt = (line.H != 0.0).any(axis=(0, 1))
+    while (more := felt | (moves & felt[:, None]).any(axis=0)).sum() > felt.sum():
+        felt = more
+    kept = np.flatnonzero(felt | (np.arange(n) >= n - nd))
+    F, G, H, gain = (
+        np.ascontiguousarray(a) for a in (line.F[:, kept][:, :, kept], line.G[:, kept], line.H[:, :, kept], gain[:, kept])
+    )
+    return Linearization(F, G, H, line.present), gain, e
