@@ -11,14 +11,19 @@ from pathlib import Path
 from plants import PLANTS
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
+from workbench.files import read_json
+from workbench.intervals.model import SCHEMA as INTERVAL_MODEL
+from workbench.lpv import SCHEMA as MODEL
+from workbench.lpv import load_model
 from workbench.physics.extension import load_extension
+from workbench.physics.identified import identified
 from workbench.physics.plant import Plant
 from workbench.records import record
 
 
 @record
 class Chosen:
-    """A plant as it was asked for; base: the machine's name or the user's module:NAME; files: the plant file on top."""
+    """A plant as it was asked for; base: the machine's name, the user's module:NAME or a model file; files: what was read."""
 
     plant: Plant
     base: str
@@ -31,25 +36,44 @@ def find_plant(text: str) -> Plant:
 
 
 def choose_plant(text: str) -> Chosen:
-    """A machine of the workbench by name, or package.module:NAME, or file.py:NAME; or a plant file that extends one of them.
+    """A machine of the workbench by name, or package.module:NAME, or file.py:NAME, or an identified model's file; or a plant
+    file that extends one of them.
 
-    A plant file never makes this program run code: alone (`extended.json`) it extends machines of the workbench only, and a plant
-    of the user's own is named before it (`my_plant.py:PLANT+extended.json`).
+    A plant file never makes this program run code: alone (`extended.json`) it extends machines of the workbench and models only,
+    and a plant of the user's own is named before it (`my_plant.py:PLANT+extended.json`).
     """
     if not text.endswith(".json"):
         return Chosen(_base_plant(text), text)
+    if _is_model(text):
+        return Chosen(_base_plant(text), text, (text,))
     before, plus, path = text.rpartition("+")
     if not plus or Path(text).is_file():
         before, path = "", text
     found = load_extension(path)
-    if not before and found.base not in PLANTS:
+    if not before and found.base not in PLANTS and not _is_model(found.base):
         mend = f"if you trust that plant, name it yourself: {found.base}+{path}"
         raise InputError(f"extends {found.base}, which is no machine of the workbench", file=path, mend=mend)
     base = before or found.base
-    return Chosen(found.of(_base_plant(base), file=path), base, (path,))
+    return Chosen(found.of(_base_plant(base), file=path), base, (base, path) if _is_model(base) else (path,))
+
+
+def _is_model(text: str) -> bool:
+    """Whether this is the file of an identified model, of whatever kind."""
+    if not text.endswith(".json") or not Path(text).is_file():
+        return False
+    content = read_json(text)
+    return isinstance(content, dict) and content.get("schema") in (MODEL, INTERVAL_MODEL)
 
 
 def _base_plant(text: str) -> Plant:
+    if _is_model(text):
+        if read_json(text)["schema"] == INTERVAL_MODEL:
+            raise InputError(
+                "an interval model bounds what may happen, it is no simulation",
+                file=text,
+                mend="give a state-space model: workbench identify --model lti, ilm or ssm",
+            )
+        return identified(load_model(text))
     source, colon, attribute = text.rpartition(":")
     if not colon:
         if text.endswith(".py"):

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import NoReturn
 
 DONE, NEGATIVE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-PLANT_HELP = "a machine of the workbench, package.module:NAME, file.py:NAME, or a plant file (NAME+extended.json)"
+PLANT_HELP = "machine of the workbench, package.module:NAME, file.py:NAME, model (m.json) or plant file (NAME+extended.json)"
 
 
 class _Parser(argparse.ArgumentParser):

@@ -8,7 +8,9 @@ LTI is one constant term. ILM has block-diagonal A and C weighted by activation 
 the schedule, so a term is a basis function together with a delay d_j >= 0 in samples.
 """
 
+import itertools
 from collections.abc import Sequence
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +36,11 @@ class Powers:
     scale: float = field("", low=1e-300, default=1.0)
 
     def __call__(self, rho: np.ndarray) -> np.ndarray:
-        return (np.asarray(rho, dtype=float)[..., None] / self.scale) ** self.exponents
+        return stacked(self, rho)
+
+    def functions(self, rho) -> list:
+        """phi_j at a number, an array or a CasADi symbol."""
+        return [(rho / self.scale) ** float(e) for e in self.exponents]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -54,14 +60,20 @@ class Gaussian:
     with_constant: bool = False
 
     def __call__(self, rho: np.ndarray) -> np.ndarray:
-        exponent = -self.beta * (np.asarray(rho, dtype=float)[..., None] - self.centres) ** 2
+        return stacked(self, rho)
+
+    def functions(self, rho) -> list:
+        """phi_j at a number, an array or a CasADi symbol."""
+        exponents = [-b * (rho - c) ** 2 for c, b in zip(self.centres, self.beta, strict=True)]
         if self.normalised:
             # far from every centre all of them underflow: the quotient does not when the largest is taken out first
-            exponent = exponent - exponent.max(axis=-1, keepdims=True)
-        weight = np.exp(exponent)
-        if self.normalised:
-            weight = weight / weight.sum(axis=-1, keepdims=True)
-        return np.concatenate([weight, np.ones_like(weight[..., :1])], axis=-1) if self.with_constant else weight
+            top = reduce(np.maximum, exponents)
+            weights = [np.exp(e - top) for e in exponents]
+            total = sum(weights)
+            weights = [w / total for w in weights]
+        else:
+            weights = [np.exp(e) for e in exponents]
+        return [*weights, *([0.0 * rho + 1.0] if self.with_constant else [])]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -79,8 +91,15 @@ class PiecewiseLinear:
             raise InputError("knots must increase")
 
     def __call__(self, rho: np.ndarray) -> np.ndarray:
-        rho = np.asarray(rho, dtype=float)
-        return np.stack([np.interp(rho, self.knots, unit) for unit in np.eye(len(self.knots))], axis=-1)
+        return stacked(self, rho)
+
+    def functions(self, rho) -> list:
+        """phi_j at a number, an array or a CasADi symbol."""
+        inside = np.minimum(np.maximum(rho, self.knots[0]), self.knots[-1])
+        rise = [(inside - a) / (b - a) for a, b in itertools.pairwise(self.knots)]
+        # each is the lower of the side that leads up to its knot and the side that leads down from it
+        up, down = [0.0 * rho + 1.0, *rise], [*(1.0 - r for r in rise), 0.0 * rho + 1.0]
+        return [np.maximum(np.minimum(a, b), 0.0) for a, b in zip(up, down, strict=True)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,6 +107,13 @@ class PiecewiseLinear:
 
 
 Basis = Powers | Gaussian | PiecewiseLinear
+
+
+def stacked(basis: Basis, rho: np.ndarray) -> np.ndarray:
+    """phi(rho), (..., m)."""
+    return np.stack(basis.functions(np.asarray(rho, dtype=float)), axis=-1)
+
+
 BASES: dict[str, type] = {"powers": Powers, "gaussian": Gaussian, "piecewise-linear": PiecewiseLinear}
 CONSTANT = Powers()
 

@@ -121,7 +121,7 @@ def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] |
 
     The record must hold every commanded input; one that moves on its own is taken from it where it was logged.
     """
-    for name in plant.commanded:
+    for name in plant.needed:
         check_known("channel", name, experiment.names, file=experiment.name)
     if abs(experiment.dt - plant.dt) > SAME_DT * plant.dt:
         raise InputError(

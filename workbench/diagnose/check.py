@@ -8,12 +8,11 @@ a channel into another, or makes it 9.55 times as large while it follows the sam
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from workbench.data import SAME_DT, Channel, Dataset, Experiment
+from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.plant import Plant
@@ -70,10 +69,10 @@ def check(plant: Plant, dataset: Dataset) -> tuple[Note, ...]:
 
 
 def _check_channels(plant: Plant, e: Experiment) -> None:
-    missing = [name for name in plant.commanded if name not in e.names]
+    missing = [name for name in plant.needed if name not in e.names]
     seen = [name for name in plant.output_names if name in e.names]
     if missing or not seen:
-        wanted = f"inputs {', '.join(plant.commanded)} and some of {', '.join(plant.output_names)}"
+        wanted = f"inputs {', '.join(plant.needed)} and some of {', '.join(plant.output_names)}"
         raise InputError(
             f"has {', '.join(e.names)}; {plant.name} needs the {wanted}",
             file=e.name,
@@ -273,8 +272,7 @@ def _other_units(unit: str) -> Iterator[tuple[str, float]]:
 
 def _free_runs(plant: Plant, e: Experiment, trials: list[Trial]) -> np.ndarray:
     """Outputs (R, N, ny) of the plant under each trial's inputs, from its own start; NaN once it has left its range."""
-    if abs(e.dt - plant.dt) > SAME_DT * plant.dt:
-        plant = replace(plant, dt=e.dt, substeps=max(1, round(plant.substeps * e.dt / plant.dt)))
+    plant = plant.sampled(e.dt, file=e.name)
     start = {}
     for name in plant.output_names:
         low, high = plant.limits.get(name, (np.inf, -np.inf))

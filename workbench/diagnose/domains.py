@@ -94,14 +94,20 @@ def _scene(plant: Plant, effects: EffectSizes, slot: Slot, one: Dataset) -> _Sce
 
 def _missing_rate(scene: _Scene) -> _Points:
     """Torque, force or rate of change of the state in which the effect shows best."""
-    plant, missing = scene.predictor.plant, scene.course.missing
+    missing = scene.course.missing
     added = _rates(scene, scene.eta) - _rates(scene, scene.without)
-    entries = [plant.state_names.index(name) for name in scene.predictor.entries]
+    entries = _entries(scene)
     clear = [np.sqrt(np.mean(added[:, j] ** 2)) / (np.std(missing[:, j]) + 1e-300) for j in entries]
     j = entries[int(np.argmax(clear))]
     what, scale = _unit(scene, added[:, j], j)
     over, x = _over(scene, added[:, j])
     return _Points(over, what, x, scale * (added[:, j] + missing[:, j]), np.zeros(len(x)), scale * added[:, j])
+
+
+def _entries(scene: _Scene) -> list[int]:
+    """The states in which something may be missing; in a discrete plant noise has states of its own, so all."""
+    plant = scene.predictor.plant
+    return [j for j, name in enumerate(plant.state_names) if plant.discrete or name in scene.predictor.entries]
 
 
 def _rates(scene: _Scene, eta: np.ndarray) -> np.ndarray:
@@ -165,7 +171,7 @@ def _acting(scene: _Scene) -> _Points:
     plant, course, u = scene.predictor.plant, scene.course, scene.predictor.records[0].u
     i, middle = plant.input_names.index(scene.place), len(course.x) // 2
     B = plant.linearize(course.x[middle], u[middle], scene.predictor.point.p, scene.without)[1][:, i]
-    entries = [plant.state_names.index(name) for name in scene.predictor.entries if B[plant.state_names.index(name)]]
+    entries = [j for j in _entries(scene) if B[j]]
     j = max(entries, key=lambda j: abs(B[j]) / (np.std(course.missing[:, j]) + 1e-300))
     lost = np.broadcast_to(plant.drive(list(u.T), scene.eta, scene.t)[i], len(u)) - u[:, i]
     channel = plant.inputs[i]
@@ -177,7 +183,7 @@ def _reading(scene: _Scene) -> _Points:
     """What a sensor reads less what there is, over what there is."""
     plant, r, course = scene.predictor.plant, scene.predictor.records[0], scene.course
     i = plant.output_names.index(scene.place)
-    level = np.broadcast_to(plant.output(list(course.x.T), scene.predictor.point.p)[i], len(r.u))
+    level = np.broadcast_to(plant.output(list(course.x.T), scene.predictor.point.p, list(r.u.T))[i], len(r.u))
     channel = plant.outputs[i]
     what = Channel(f"reading less {channel.name}", channel.unit)
     return _Points(channel, what, level, r.y[:, i] - level, np.zeros(len(level)), course.predicted[:, i] - level)

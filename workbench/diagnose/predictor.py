@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from workbench.data import SAME_DT, Dataset, Experiment, bad_stamps
+from workbench.data import Dataset, Experiment, bad_stamps
 from workbench.diagnose.kalman import Linearization, Pass, gains, response
 from workbench.errors import InputError, check_known
 from workbench.noise import measurement_noise
@@ -164,6 +164,10 @@ class Predictor:
         e = np.where(np.isfinite(r.seen), r.seen - run.measured[0], 0.0)
         missing = np.einsum("kij,kj->ki", gain[:, :nx], e) / self.plant.dt
         x, angle, inner, _ = np.split(run.full[0], [nx, self._inner, self._memories], axis=1)
+        if self.plant.discrete:  # a correction moves the states of the next sample through the equation alone
+            u, dt = list(r.u.T), self.plant.dt
+            after, before = (self.plant.derivative(list(z.T), u, at.p, at.eta[i]) for z in (x + dt * missing, x))
+            missing = missing + np.column_stack([np.broadcast_to(b - a, len(x)) for a, b in zip(before, after, strict=True)])
         return Course(x, angle, inner, run.measured[0], missing)
 
     def regained(self, point: Point, noise: Noise | None = None, *, rounds: int = 1) -> "Predictor":
@@ -264,17 +268,17 @@ class Predictor:
         change = flow[1:, 1:, active] - flow[:1, 1:, active]  # (lanes - 1, N - 1, n)
         F = change[: len(active)].transpose(1, 2, 0) / (STEP * size[active])
         G = change[len(active) :].transpose(1, 2, 0) / rate
-        H = self._sensed(corrected, eta[0], active, STEP * size)
+        H = self._sensed(r, corrected, eta[0], active, STEP * size)
         last = [np.concatenate([M, M[-1:]]) for M in (F, G)]
         nd = len(self.noise.drift)
         return _with_drift(Linearization(last[0], last[1], H, np.isfinite(r.seen)), nd, self.noise.decay(plant.dt))
 
-    def _sensed(self, full: np.ndarray, eta: np.ndarray, active: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def _sensed(self, r: Record, full: np.ndarray, eta: np.ndarray, active: np.ndarray, step: np.ndarray) -> np.ndarray:
         """H (N, ny, n): what a change of the carried states does to the readings of the sensors."""
         plant, nx, first = self.plant, len(self.plant.states), self._memories
 
         def reading(x: np.ndarray) -> np.ndarray:
-            z = [np.broadcast_to(v, len(x)) for v in plant.output(list(x[:, :nx].T), self.point.p)]
+            z = [np.broadcast_to(v, len(x)) for v in plant.output(list(x[:, :nx].T), self.point.p, list(r.u.T))]
             m = plant.remember(list(x[:, first:].T), z, z, 0.0, eta)
             return np.column_stack([np.broadcast_to(v, len(x)) for v in plant.read(m, [0.0] * len(z), eta)])
 
@@ -322,8 +326,7 @@ def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: in
 
     drift: whether torques may have a coloured part; without, whatever comes and goes is to be explained.
     """
-    if abs(dataset.dt - plant.dt) > SAME_DT * plant.dt:
-        plant = replace(plant, dt=dataset.dt, substeps=max(1, round(plant.substeps * dataset.dt / plant.dt)))
+    plant = plant.sampled(dataset.dt, file=", ".join(dataset.names))
     records = tuple(_prepared(plant, e) for e in dataset)
     eta = np.repeat(plant.effect_vector()[None], len(records), axis=0)
     point = Point(plant.nominal, eta, np.array([r.start for r in records]))
@@ -365,7 +368,7 @@ def _coarser(made: Predictor) -> Predictor:
 
 
 def _prepared(plant: Plant, e: Experiment) -> Record:
-    for name in plant.commanded:
+    for name in plant.needed:
         check_known("channel", name, e.names, file=e.name)
     for bad in bad_stamps(e.t, e.dt):
         raise InputError(f"{bad.fault} stamp at {bad.before:g} s", file=e.name, mend="cut the record there with trim")
@@ -376,19 +379,19 @@ def _prepared(plant: Plant, e: Experiment) -> Record:
         )
     u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
     y = np.column_stack([e[name] if name in e.names else np.full(len(e), np.nan) for name in plant.output_names])
-    start, scale = _start(plant, y[0])
+    start, scale = _start(plant, y[0], u[0])
     return Record(e.name, u, y, start, scale)
 
 
-def _start(plant: Plant, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _start(plant: Plant, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """States at the first sample and how far off they may be: the plant's own start, corrected by what was measured then."""
     x, _ = plant.equilibrium()
     scale = 0.3 * np.abs(x) + np.where(x == 0.0, 1.0, 0.0)
     seen = np.flatnonzero(np.isfinite(y))
     noise = np.array([plant.noise.get(name, 0.0) for name in plant.output_names])
     for _ in range(3):
-        C = plant.linearize(x, np.zeros(len(plant.inputs)))[2][seen]
-        z = np.array(plant.output(x, plant.nominal), dtype=float)[seen]
+        C = plant.linearize(x, u)[2][seen]
+        z = np.array(plant.output(x, plant.nominal, u), dtype=float)[seen]
         R = np.diag((1e-3 * np.abs(C) @ scale) ** 2 + noise[seen] ** 2)
         P = np.diag(scale**2)
         x = x + P @ C.T @ np.linalg.solve(C @ P @ C.T + R, y[seen] - z)
@@ -398,8 +401,10 @@ def _start(plant: Plant, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _entries(plant: Plant) -> tuple[str, ...]:
     """States whose rate of change carries what nobody logged: those that turn or slide, and the tensions of spans.
 
-    Where a plant has no such port, every state that an input moves directly.
+    Where a plant has no such port, every state that an input moves directly. What the plant itself states goes before all that.
     """
+    if plant.process:
+        return tuple(plant.process)
     named = [port.speed for port in plant.ports if hasattr(port, "speed")]
     named += [port.place for port in plant.ports if port.place in plant.state_names]
     if not named:
@@ -423,7 +428,7 @@ def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str]) -> Nois
     spread = np.array([max(float(np.std(e[n])) if n in e.names else 0.0 for e in dataset) for n in plant.input_names])
     stated = np.array([plant.disturbance.get(n, 0.0) for n in plant.input_names])
     push = B @ np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)
-    process = [max(push[plant.state_names.index(name)], 1e-3 * push.max(), 1e-12) for name in entries]
+    process = [plant.process.get(name, max(push[plant.state_names.index(name)], 1e-3 * push.max(), 1e-12)) for name in entries]
     turning = set(plant.turning.values())
     white = np.array(process)
     drift = np.array([0.1 * level for name, level in zip(entries, white, strict=True) if name in turning])

@@ -139,7 +139,7 @@ def _bracket(expression: str) -> str:
     return f"({expression})" if expression.startswith("-") else expression
 
 
-_TEMPLATE = '''"""Generated; do not edit. {title}"""
+_HEAD = '''"""Generated; do not edit. {title}"""
 
 import math
 
@@ -189,18 +189,22 @@ def run(
         for i in range({ny}):
             for l in range(LANES):
                 W[({error} + i) * LANES + l] = noise[k, i, l]
-        for l in range(LANES):
+'''
+_READ = """        for l in range(LANES):
 {read}
-        if k % every == 0:
+"""
+_CONTROL = """        if k % every == 0:
             for l in range(LANES):
 {control}
-        for l in range(LANES):
+"""
+_DRIVE = """        for l in range(LANES):
 {drive}
         for i in range({nu}):
             for l in range(LANES):
                 acting[first + k, i, l] = W[({v} + i) * LANES + l] + disturbance[k, i, l]
                 commands[k, i, l] = W[({u} + i) * LANES + l]
-        for i in range({nx}):
+"""
+_LOG = """        for i in range({nx}):
             for l in range(LANES):
                 states[k, i, l] = W[({x} + i) * LANES + l]
         for i in range({ny}):
@@ -209,7 +213,8 @@ def run(
         for i in range({nm} if len(remembered) > 0 else 0):
             for l in range(LANES):
                 remembered[k, i, l] = W[({mem} + i) * LANES + l]
-        # the state before the next step: given for every sample anew, or corrected by what was observed
+"""
+_CORRECT = """        # the state before the next step: given for every sample anew, or corrected by what was observed
         if len(restart) > 0:
             for i in range({nx}):
                 for l in range(LANES):
@@ -238,7 +243,8 @@ def run(
                     W[({after} + i) * LANES + l] = W[({before} + i) * LANES + l]
             if remembering:
                 remember(W, on)
-        for s in range(len(step)):
+"""
+_INTEGRATE = """        for s in range(len(step)):
             for i in range({nu}):
                 for l in range(LANES):
                     W[({w} + i) * LANES + l] = acting[first + k - back[s, i, l], i, l]
@@ -283,10 +289,53 @@ def run(
                 for i in range({ny}):
                     for l in range(LANES):
                         W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
-        for i in range(len(decay)):
+"""
+_FADE = """        for i in range(len(decay)):
             for l in range(LANES):
                 W[({drift} + i) * LANES + l] *= decay[i]
-'''
+"""
+# a discrete plant: outputs see the inputs of their own sample, and one evaluation of the equation leads to the next
+_ARRIVE = """        # what acts in a sample is the mean of its hold: a dead time may lie between two samples
+        for i in range({nu}):
+            for l in range(LANES):
+                W[({w} + i) * LANES + l] = 0.0
+            for s in range(len(step)):
+                for l in range(LANES):
+                    W[({w} + i) * LANES + l] += step[s, l] / dt * acting[first + k - back[s, i, l], i, l]
+        for l in range(LANES):
+{measure}
+        for l in range(LANES):
+            W[{h} * LANES + l] = dt
+        remember(W, on)
+        for i in range({ny}):
+            for l in range(LANES):
+                W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
+"""
+_JUMP = """        # rates are taken at the sample and hold until the next one
+        for i in range({nx}):
+            for l in range(LANES):
+                W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l]
+        if affected:
+            add_parts(W, on)
+            for l in range(LANES):
+{rates}
+        else:
+            for l in range(LANES):
+{nominal}
+        for i in range({np} if len(push) > 0 else 0):
+            for l in range(LANES):
+                W[({slope} + i) * LANES + l] += push[k, i, l]
+        for i in range(len(decay)):
+            for l in range(LANES):
+                W[({slope} + i) * LANES + l] += W[({drift} + i) * LANES + l]
+        for i in range({nx}):
+            for l in range(LANES):
+                W[({x} + i) * LANES + l] += dt * W[({slope} + i) * LANES + l]
+"""
+_CONTINUOUS = "".join([_HEAD, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE, _FADE])
+_DISCRETE = "".join([_HEAD, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
+_INDENT = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "measure": 20}
+_INDENT_DISCRETE = _INDENT | {"rates": 16, "nominal": 16, "measure": 12}
 
 
 @record
@@ -306,9 +355,11 @@ def kernel_source(
     parts: Sequence[Switched],
     sensors: Sequence[Switched],
     sizes: Mapping[str, int],
+    *,
+    discrete: bool = False,
 ) -> str:
     """The text of a kernel module; entry j of its `on` switches the j-th of parts and sensors together."""
-    indent = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "measure": 20}
+    indent, template = (_INDENT_DISCRETE, _DISCRETE) if discrete else (_INDENT, _CONTINUOUS)
     once = [line for code in (*codes.values(), *(part.code for part in (*parts, *sensors))) for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
@@ -316,7 +367,7 @@ def kernel_source(
     text["parts"] = _switched(parts, 0, rows, tables)
     text["sensors"] = _switched(sensors, len(parts), rows, tables)
     text["tables"] = "\n".join(tables)
-    return _TEMPLATE.format(title=title, lanes=lanes, first_sensor=len(parts), **text, **rows.first, **sizes)
+    return template.format(title=title, lanes=lanes, first_sensor=len(parts), **text, **rows.first, **sizes)
 
 
 _CELL = re.compile(r"W\[(\d+) \* LANES \+ l\]")

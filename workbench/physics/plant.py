@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from workbench.data import Channel
+from workbench.data import SAME_DT, Channel
 from workbench.errors import InputError, check_known
 from workbench.physics.effects import effects_of
 from workbench.physics.effects.actuator import Actuator, Driven
@@ -85,6 +85,13 @@ class Plant:
     input, white per sample. limits: (low, high) of states within which the equation means something. substeps: integrator
     steps per sample that keep the error of a run below 1e-4 of its range. effects: missing physics that a diagnosis has added,
     {"coulomb@unwind": {"level": 0.002}}; it acts wherever nothing else is asked for.
+
+    process: standard deviation of unlogged rates of change of states, white per sample, where they are known; a diagnosis else
+    expects them where a port or an input moves a state.
+
+    discrete: the plant is known at its samples alone. Its equation is a difference per sample, (x+ - x) / dt, taken at a sample
+    and held to the next; its outputs see the inputs of their own sample, measure(x, p, u), and it needs all of them. A dead time
+    that is no whole number of samples mixes two samples of the command.
     """
 
     name: str
@@ -93,7 +100,7 @@ class Plant:
     outputs: tuple[Channel, ...]
     parameters: tuple[Parameter, ...]
     equation: Callable[[Any, Any, Any, Any], Mapping[str, Any]]
-    measure: Callable[[Any, Any], Mapping[str, Any]]
+    measure: Callable[..., Mapping[str, Any]]
     dt: float = field("", unit="s", low=1e-9)
     ports: tuple[Any, ...] = ()
     start: Start = field(default_factory=Start)
@@ -103,6 +110,8 @@ class Plant:
     substeps: int = 10
     description: str = ""
     effects: EffectSizes = field(default_factory=dict)
+    process: Mapping[str, float] = field(default_factory=dict)
+    discrete: bool = False
 
     def __post_init__(self):
         for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
@@ -117,7 +126,7 @@ class Plant:
                 raise InputError(f"two speeds at {port.place!r}", file=self.name, mend="a place turns with one speed")
         for name in (*self.noise, *self.disturbance):
             check_known("channel", name, [c.name for c in (*self.inputs, *self.outputs)], file=self.name)
-        for name in self.limits:
+        for name in (*self.limits, *self.process):
             check_known("state", name, self.state_names, file=self.name)
         for port in self.ports:
             if hasattr(port, "speed"):
@@ -141,6 +150,19 @@ class Plant:
     def commanded(self) -> tuple[str, ...]:
         """Names of the inputs that an actuator drives; the others move on their own."""
         return tuple(c.name for c in self.inputs if c.role != "schedule")
+
+    @cached_property
+    def needed(self) -> tuple[str, ...]:
+        """Inputs without which a record says nothing: the commanded ones; of a discrete plant all, 0 is no place to stand at."""
+        return self.input_names if self.discrete else self.commanded
+
+    def sampled(self, dt: float, *, file: object = None) -> "Plant":
+        """The same plant sampled every dt seconds; a discrete one knows nothing between its samples and refuses."""
+        if abs(dt - self.dt) <= SAME_DT * self.dt:
+            return self
+        if self.discrete:
+            raise InputError(f"sampled every {dt:g} s, {self.name} every {self.dt:g} s", file=file, mend="resample the record")
+        return replace(self, dt=dt, substeps=max(1, round(self.substeps * dt / self.dt)))
 
     @cached_property
     def output_names(self) -> tuple[str, ...]:
@@ -293,10 +315,12 @@ class Plant:
         rates = self.equation(Named(seen["x"]), Named(seen["u"]), self._parameters(p), self._places(seen, eta, opened))
         return [*self._ordered("derivative of state", rates, self.state_names), *seen["inner_rate"].values()]
 
-    def output(self, x, p=None) -> list:
-        """Physical outputs (ny values) before sensors, at states x and parameters p."""
+    def output(self, x, p=None, u=None) -> list:
+        """Physical outputs (ny values) before sensors, at states x and parameters p; of a discrete plant also at inputs u."""
         p = self.nominal if p is None else p
-        y = self.measure(Named(dict(zip(self.state_names, x, strict=True))), self._parameters(p))
+        u = [0.0] * len(self.inputs) if u is None else u
+        direct = [Named(dict(zip(self.input_names, u, strict=True)))] if self.discrete else []
+        y = self.measure(Named(dict(zip(self.state_names, x, strict=True))), self._parameters(p), *direct)
         return self._ordered("output", y, self.output_names)
 
     def drive(self, u, eta, t, gaps=None) -> list:
@@ -416,7 +440,7 @@ class Plant:
     def _traced_output(self) -> list:
         try:
             with symbolic_numpy():
-                return self.output(entries(self.symbols["x"]), entries(self.symbols["p"]))
+                return self.output(*(entries(self.symbols[name]) for name in ("x", "p", "u")))
         except RuntimeError as reason:
             raise self._branching(reason) from None
 

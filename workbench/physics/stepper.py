@@ -96,6 +96,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     names = [f"part{j}" for j in range(len(plant.parted.parts))]
     for name, part in zip(names, plant.parted.parts, strict=True):
         rows.take(name, part.symbols.numel())
+    direct = ["w"] if plant.discrete else []
     deep, sensors = len(plant.memories) // ny, [f"sensor{i}" for i in range(ny)]
     for i, name in enumerate(sensors):
         rows.first[name] = rows["mem"] + i * deep
@@ -103,8 +104,8 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "read": (["mem", "error", "eta"], ["y"]),
         "control": (["c", "r", "y", "g", "u"], ["u", "c"]),
         "drive": (["u", "eta", "t", "gaps", "last"], ["v", "gaps", "last", "rate"]),
-        "show": (["x", "p"], ["before"]),
-        "measure": (["x", "p"], ["after"]),
+        "show": (["x", *direct, "p"], ["before"]),
+        "measure": (["x", *direct, "p"], ["after"]),
         "rates": ([*within, *names], ["slope"]),
         "nominal": (within, ["slope"]),
         **{name: ([*within, *names[:j]], [name]) for j, name in enumerate(names)},
@@ -121,7 +122,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "nx": all_states, "ny": ny, "nu": nu, "nr": len(controller.references), "nm": len(plant.memories), "np": nx, "deep": deep,
     }  # fmt: skip
     title = f"{plant.name} under {type(controller).__name__}"
-    return load_kernel(kernel_source(title, lanes, rows, codes, parts, memories, numbers)), rows
+    return load_kernel(kernel_source(title, lanes, rows, codes, parts, memories, numbers, discrete=plant.discrete)), rows
 
 
 def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
@@ -142,7 +143,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     c, r = ca.SX.sym("c", len(controller.init())), ca.SX.sym("r", len(controller.references))
     y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
     with symbolic_numpy():
-        after = plant.output(entries(full), p)
+        after = plant.output(entries(full), p, u)
         memory = plant.remember(entries(mem), entries(before), entries(reached), h, eta)
         reading = plant.read(entries(mem), entries(error), eta)
         acting = plant.drive(u, eta, s["t"], entries(gaps))
@@ -154,6 +155,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         rho = entries(y)[plant.output_names.index(controller.schedule)] if controller.schedule else None
         command, state = controller.law(entries(g), entries(c), entries(r), at, rho)
     inputs = dict(zip(plant.input_names, u, strict=True)) | dict(zip(controller.actuated, command, strict=True))
+    seen = [full, s["u"], s["p"]] if plant.discrete else [full, s["p"]]
     return {
         "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), column(state)]),
         "read": ca.Function("read", [mem, error, s["eta"]], [column(reading)]),
@@ -163,8 +165,8 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         "rates": ca.Function("rates", within, [slope]),
         "nominal": ca.Function("nominal", list(s.values()), [bare]),
         **{f"part{j}": ca.Function(f"part{j}", within[: len(s) + j], [part.values]) for j, part in enumerate(parts)},
-        "show": ca.Function("show", [full, s["p"]], [column(after)]),
-        "measure": ca.Function("measure", [full, s["p"]], [column(after)]),
+        "show": ca.Function("show", seen, [column(after)]),
+        "measure": ca.Function("measure", seen, [column(after)]),
         **{
             f"sensor{i}": ca.Function(f"sensor{i}", [mem, before, reached, h, s["eta"]], [column(own)])
             for i, own in enumerate(shares(memory, len(plant.outputs)))
@@ -180,7 +182,7 @@ def cores() -> int:
 def run(
     plant: Plant, controller: Controller, lanes: Lanes, substeps: int, threads: int = 1, steering: Steering | None = None
 ) -> Trajectories:
-    """Step every lane through all samples with classic Runge-Kutta, `substeps` equal steps a sample.
+    """Step every lane through all samples with classic Runge-Kutta, `substeps` equal steps a sample; a discrete plant jumps.
 
     One run goes through the scalar kernel, more through the SIMD kernel in blocks of 16, `threads` blocks at a time. Both
     give the same numbers to the last bit.
@@ -191,6 +193,12 @@ def run(
             f"controller {controller.name!r} runs every {controller.dt:g} s, plant {plant.name!r} is sampled every "
             f"{plant.dt:g} s",
             mend="use a whole multiple of the plant's sample time",
+        )
+    if plant.discrete and controller.measured:
+        raise InputError(
+            f"controller {controller.name!r} would read outputs of {plant.name!r} that its commands of the same sample move",
+            file=plant.name,
+            mend="a discrete plant is driven by given inputs only",
         )
     R, N, _ = lanes.reference.shape
     width = SCALAR if R == 1 else SIMD
@@ -237,7 +245,8 @@ def _block(
     W[rows["x"] : rows["x"] + nx] = lanes.start[pick].T
     for name, source in (("p", lanes.parameters), ("eta", lanes.effects), ("g", lanes.gains), ("c", lanes.memory)):
         W[rows.span(name)] = source[pick].T
-    z = np.array([np.broadcast_to(y, L) for y in plant.output(lanes.start[pick].T, lanes.parameters[pick].T)])
+    start, p, held = (source[pick].T for source in (lanes.start, lanes.parameters, lanes.hold))
+    z = np.array([np.broadcast_to(y, L) for y in plant.output(start, p, held)])
     W[rows.span("before")] = z
     eta = lanes.effects[pick].T
     W[rows.span("mem")] = plant.settle(z, eta)

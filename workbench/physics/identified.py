@@ -1,0 +1,146 @@
+"""An identified model as a plant, so that what simulates, extends and diagnoses machines does the same with black boxes.
+
+    x(k+1) = A(rho) x(k) + B(rho) (u(k) - u0(rho)) + K(rho) L e(k)
+    y(k)   = C(rho) x(k) + D(rho) (u(k) - u0(rho)) + y0(rho) + L e(k),        M(rho) = sum_j M_j phi_j(rho(k - d_j))
+
+e is what the model's own one-step predictor leaves over, in units of its spread (L L' is its covariance): a state that is pushed
+at every sample and forgotten at the next. In a free run it is 0, and the plant runs as the model does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.data import Channel
+from workbench.errors import InputError
+from workbench.lpv import LPVModel
+from workbench.physics.effects.effect import Named
+from workbench.physics.plant import Plant, Start
+
+ROUNDING = 1e-12  # of the largest variance: what a covariance needs to have a root
+
+
+def identified(model: LPVModel) -> Plant:
+    """The plant of a state-space model; see the module.
+
+    Its commanded inputs have actuators, its outputs sensors; it has no parameters, for its numbers were fitted all at once and
+    none of them is a part of the machine. The schedule is an input that moves on its own and must be logged, unless it is one of
+    the inputs already; what the model remembers of it are states. Raises InputError for a schedule that is an output too.
+    """
+    schedule = model.schedule
+    if schedule and schedule.name in [c.name for c in model.outputs]:
+        raise InputError(
+            f"{schedule.name} is schedule and output of this model",
+            file=model.name,
+            mend="identify it with the schedule as an input from outside: leave it out of --output",
+        )
+    own = schedule is None or schedule.name in [c.name for c in model.inputs]
+    inputs = tuple(replace(c, role="input") for c in model.inputs)
+    equation = _Equation(model)
+    return Plant(
+        name=model.name,
+        states=tuple(Channel(name, "") for name in (*equation.states, *equation.noise))
+        + tuple(Channel(name, schedule.unit if schedule else "") for name in equation.past),
+        inputs=inputs if own or schedule is None else (*inputs, replace(schedule, role="schedule")),
+        outputs=tuple(replace(c, role="output") for c in model.outputs),
+        parameters=(),
+        equation=equation.difference,
+        measure=equation.outputs,
+        dt=model.dt,
+        start=Start(fixed=dict.fromkeys(equation.past, float(np.mean(model.span)))),
+        noise={} if model.noise is None else _spread(model),
+        substeps=1,
+        description=f"{model.name}, order {model.order}, identified from records",
+        process={name: 1.0 / model.dt for name in equation.noise},
+        discrete=True,
+    )
+
+
+def _spread(model: LPVModel) -> dict[str, float]:
+    """Standard deviation of the one-step error by output."""
+    assert model.noise is not None
+    return {c.name: float(s) for c, s in zip(model.outputs, np.sqrt(np.diag(model.noise)), strict=True)}
+
+
+class _Equation:
+    """The equation of a model, with the names of its states: its own, of its noise, and of what it remembers of the schedule."""
+
+    def __init__(self, model: LPVModel):
+        self.model = model
+        self.states = [f"state {i + 1}" for i in range(model.order)]
+        self.noise, self.past = [], []
+        self.K = self.L = None
+        if model.predictor is not None and model.noise is not None:
+            self.noise = [f"noise of {c.name}" for c in model.outputs]
+            largest = float(np.trace(model.noise)) or 1.0
+            self.L = np.linalg.cholesky(model.noise + ROUNDING * largest * np.eye(len(self.noise)))
+            self.K = model.predictor.K @ self.L
+        if model.schedule is not None:
+            steps = max(term.delay for term in model.terms)
+            self.past = [f"{model.schedule.name}, {k + 1} before" for k in range(steps)]
+
+    def difference(self, x: Named, u: Named, p: Named, at: Named) -> dict:
+        """(x+ - x) / dt of every state."""
+        del p, at
+        model, weights = self.model, self._weights(x, u)
+        now, moved, e = _of(x, self.states), self._deviations(u), _of(x, self.noise)
+        after = _product(model.A, weights, now)
+        after = _sum(after, _product(model.B, weights, moved))
+        if self.K is not None:
+            after = _sum(after, _product(self.K, weights, e))
+        after += [0.0] * len(e)
+        if self.past:
+            after += [self._schedule(u), *_of(x, self.past[:-1])]
+        names = (*self.states, *self.noise, *self.past)
+        return {name: (new - old) / model.dt for name, new, old in zip(names, after, _of(x, names), strict=True)}
+
+    def outputs(self, x: Named, p: Named, u: Named) -> dict:
+        """y of every output."""
+        del p
+        model, weights, point = self.model, self._weights(x, u), self.model.operating_point
+        y = _sum(_product(model.C, weights, _of(x, self.states)), _product(model.D, weights, self._deviations(u)))
+        if self.L is not None:
+            y = _sum(y, _product(self.L[None], [1.0], _of(x, self.noise)))
+        y = _sum(y, _product(point.y[:, :, None], point.basis.functions(self._schedule(u)), [1.0]))
+        return dict(zip((c.name for c in model.outputs), y, strict=True))
+
+    def _schedule(self, u: Named):
+        """rho, within what the model knows."""
+        if self.model.schedule is None:
+            return 0.0
+        low, high = (float(v) for v in self.model.span)
+        return np.minimum(np.maximum(getattr(u, self.model.schedule.name), low), high)
+
+    def _weights(self, x: Named, u: Named) -> list:
+        """phi_j(rho(k - d_j)) of every term."""
+        basis, line = self.model.basis, [self._schedule(u), *_of(x, self.past)]
+        at = {d: basis.functions(line[d]) for d in {term.delay for term in self.model.terms}}
+        return [at[term.delay][term.function] for term in self.model.terms]
+
+    def _deviations(self, u: Named) -> list:
+        """u - u0(rho)."""
+        point = self.model.operating_point
+        zero = _product(point.u[:, :, None], point.basis.functions(self._schedule(u)), [1.0])
+        return [a - b for a, b in zip(_of(u, [c.name for c in self.model.inputs]), zero, strict=True)]
+
+
+def _of(named: Named, names: Sequence[str]) -> list:
+    return [getattr(named, name) for name in names]
+
+
+def _product(terms: np.ndarray, weights: Sequence, v: Sequence) -> list:
+    """sum_j w_j M_j v for terms M (nt, rows, columns); what is 0 in all terms is not written down."""
+    rows = []
+    for i in range(terms.shape[1]):
+        parts = []
+        for k, value in enumerate(v):
+            numbers = terms[:, i, k]
+            if numbers.any():
+                parts.append(sum(float(m) * w for m, w in zip(numbers, weights, strict=True) if m) * value)
+        rows.append(sum(parts) if parts else 0.0 * v[0] if len(v) else 0.0)
+    return rows
+
+
+def _sum(a: Sequence, b: Sequence) -> list:
+    return [p + q for p, q in zip(a, b, strict=True)]
