@@ -96,7 +96,8 @@ def diagnose(
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset)]
     found = _searched(plant, dataset, drift is not False, threads, progress)
-    if drift is None and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE):
+    torques = len(found.base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
+    if drift is None and torques and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE):
         progress("again, without torques that come and go")
         again = _searched(plant, dataset, False, threads, progress)
         if again.steps and ahead(found.model, again.model) < 1.0 - LONG_RUN:

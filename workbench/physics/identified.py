@@ -35,26 +35,35 @@ def identified(model: LPVModel) -> Plant:
             file=model.name,
             mend="identify it with the schedule as an input from outside: leave it out of --output",
         )
-    own = schedule is None or schedule.name in [c.name for c in model.inputs]
     inputs = tuple(replace(c, role="input") for c in model.inputs)
+    if schedule and schedule.name not in [c.name for c in inputs]:
+        inputs = (*inputs, replace(schedule, role="schedule"))
     equation = _Equation(model)
     return Plant(
         name=model.name,
         states=tuple(Channel(name, "") for name in (*equation.states, *equation.noise))
         + tuple(Channel(name, schedule.unit if schedule else "") for name in equation.past),
-        inputs=inputs if own or schedule is None else (*inputs, replace(schedule, role="schedule")),
+        inputs=inputs,
         outputs=tuple(replace(c, role="output") for c in model.outputs),
         parameters=(),
         equation=equation.difference,
         measure=equation.outputs,
         dt=model.dt,
-        start=Start(fixed=dict.fromkeys(equation.past, float(np.mean(model.span)))),
+        start=Start(fixed=_at_rest(model, equation.past, inputs)),
         noise={} if model.noise is None else _spread(model),
         substeps=1,
         description=f"{model.name}, order {model.order}, identified from records",
         process={name: 1.0 / model.dt for name in equation.noise},
         discrete=True,
     )
+
+
+def _at_rest(model: LPVModel, past: Sequence[str], inputs: Sequence[Channel]) -> dict[str, float]:
+    """The operating point in the middle of the schedule, where the model stands still: what was before the first sample."""
+    middle = float(np.mean(model.span))
+    u0 = model.operating_point.basis(np.array(middle)) @ model.operating_point.u
+    at = dict.fromkeys((c.name for c in inputs), middle) | dict(zip((c.name for c in model.inputs), u0.tolist(), strict=True))
+    return dict.fromkeys(past, middle) | at
 
 
 def _spread(model: LPVModel) -> dict[str, float]:

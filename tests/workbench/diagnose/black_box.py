@@ -1,6 +1,6 @@
 """A black box and its records, written a second time in plain arithmetic: what is hidden does not come from the catalogue.
 
-x+ = A(rho) x + B(rho) (u - u0) + K e, y = C x + y0 + e, scheduled by a radius and by its value one sample earlier.
+x+ = A(rho) x + B(rho) (u - u0) + K e, y = C(rho) x + D (u - u0) + y0 + e, scheduled by a radius and its value a sample earlier.
 """
 
 import numpy as np
@@ -21,14 +21,13 @@ def black_box() -> LPVModel:
     B = np.array([[[0.30, 0.05], [0.10, -0.25]], [[-0.8, 0.0], [0.0, 0.5]], [[0.0, 0.0], [0.0, 0.0]]])
     C = np.array([[[1.0, 0.4]], [[0.5, 0.0]], [[0.0, 0.0]]])
     K = np.array([[[0.5], [0.1]], [[0.0], [0.0]], [[0.0], [0.0]]])
-    D = np.zeros((3, 1, 2))
-    # C moves with the radius, and so F = A - K C does: what is left of the product's second order is small
-    F = A - np.einsum("ij,tjk->tik", K[0], C)
+    D = np.array([[[0.2, 0.0]], [[0.0, 0.4]], [[0.0, 0.0]]])
+    F, G = (M - np.einsum("ij,tjk->tik", K[0], N) for M, N in ((A, C), (B, D)))
     point = OperatingPoint(Powers([0.0]), np.array([[0.2, -0.1]]), np.array([[3.0]]))
     terms, span = (Term(0), Term(1), Term(1, 1)), np.array([0.05, 0.15])
     return LPVModel(
         "SSM", DT, (V1, V2), (W,), R, span, Powers([0.0, 1.0]), terms, A, B, C, D, point,
-        predictor=Predictor(F, B, K, warmup=10), noise=np.array([[SPREAD**2]]),
+        predictor=Predictor(F, G, K, warmup=10), noise=np.array([[SPREAD**2]]),
     )  # fmt: skip
 
 
@@ -54,8 +53,8 @@ def records(seed: int, *, acting=still, reading=still, samples=600, count=2, mod
         x, y = np.zeros(2), np.empty((samples, 1))
         assert model.predictor is not None
         for k in range(samples):
-            A, B, C, K = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, model.C, model.predictor.K))
-            y[k] = C @ x + model.operating_point.y[0] + e[k]
+            A, B, C, D, K = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, model.C, model.D, model.predictor.K))
+            y[k] = C @ x + D @ w[k] + model.operating_point.y[0] + e[k]
             x = A @ x + B @ w[k] + K[:, 0] * e[k]
         channels = (V1, V2, W, R)
         made.append(Experiment(f"record {i}", DT * np.arange(samples), channels, np.column_stack([u, reading(y), rho]), DT))
