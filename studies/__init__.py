@@ -22,6 +22,12 @@ def _emps() -> ModuleType:
     return emps
 
 
+def _winding_records() -> ModuleType:
+    from studies import winding_records
+
+    return winding_records
+
+
 def _hidden_effects() -> ModuleType:
     from studies import hidden_effects
 
@@ -32,5 +38,6 @@ STUDIES: dict[str, Callable[[], ModuleType]] = {
     "web-winding": _web_winding,
     "welding-robot": _welding_robot,
     "emps": _emps,
+    "winding-records": _winding_records,
     "hidden-effects": _hidden_effects,
 }

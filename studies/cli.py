@@ -132,7 +132,7 @@ def parser() -> argparse.ArgumentParser:
     command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
 
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
-    sub.add_argument("study", metavar="STUDY", help="web-winding, welding-robot, emps or hidden-effects")
+    sub.add_argument("study", metavar="STUDY", help="web-winding, welding-robot, emps, winding-records or hidden-effects")
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
     sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")

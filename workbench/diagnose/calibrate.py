@@ -120,6 +120,12 @@ def calibrate(plant: Plant, dataset: Dataset, *, names: Sequence[str] | None = N
     bounds = dict(bounds or {})
     opened = _opened(plant, names, bounds)
     free = [q.name for q in opened.parameters if q.tolerance > 0.0 and (names is None or q.name in (*names, *bounds))]
+    if not free:
+        raise InputError(
+            "no parameter is open: none has a tolerance or a bound",
+            file=plant.name,
+            mend="give a --bound; the numbers of an identified model are fitted by identify, and diagnose says what it lacks",
+        )
     held: dict[str, float] = {}
     while True:
         own = _with_values(opened, held)

@@ -3,8 +3,8 @@
     x(k+1) = A(rho) x(k) + B(rho) (u(k) - u0(rho)) + K(rho) L e(k)
     y(k)   = C(rho) x(k) + D(rho) (u(k) - u0(rho)) + y0(rho) + L e(k),        M(rho) = sum_j M_j phi_j(rho(k - d_j))
 
-e is what the model's own one-step predictor leaves over, in units of its spread (L L' is its covariance): a state that is pushed
-at every sample and forgotten at the next. In a free run it is 0, and the plant runs as the model does.
+e is the innovation, what the model's own one-step predictor leaves over, in units of its spread (L L' is its covariance): a state
+that is pushed at every sample and forgotten at the next. In a free run it is 0, and the plant runs as the model does.
 """
 
 from collections.abc import Sequence
@@ -81,13 +81,13 @@ class _Equation:
         self.noise, self.past = [], []
         self.K = self.L = None
         if model.predictor is not None and model.noise is not None:
-            self.noise = [f"noise of {c.name}" for c in model.outputs]
+            self.noise = [f"innovation of {c.name}" for c in model.outputs]
             largest = float(np.trace(model.noise)) or 1.0
             self.L = np.linalg.cholesky(model.noise + ROUNDING * largest * np.eye(len(self.noise)))
             self.K = model.predictor.K @ self.L
         if model.schedule is not None:
             steps = max(term.delay for term in model.terms)
-            self.past = [f"{model.schedule.name}, {k + 1} before" for k in range(steps)]
+            self.past = [f"{model.schedule.name} {k + 1} before" for k in range(steps)]
 
     def difference(self, x: Named, u: Named, p: Named, at: Named) -> dict:
         """(x+ - x) / dt of every state."""

@@ -85,7 +85,7 @@ def test_nothing_is_named_where_nothing_is_hidden(seed):
 
 
 def test_noise_enters_where_the_models_own_predictor_lets_it_in():
-    assert predictor(PLANT, records(1, count=1, samples=100)).entries == ("noise of w",)
+    assert predictor(PLANT, records(1, count=1, samples=100)).entries == ("innovation of w",)
 
 
 @pytest.mark.parametrize(("key", "name"), [("saturation@V1", "limit"), ("sensor-lag@w", "time"), ("heating@V1", "fall")])

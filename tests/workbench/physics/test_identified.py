@@ -157,7 +157,7 @@ def test_the_filter_of_the_plant_is_the_predictor_of_the_model():
 
 def test_the_plant_states_the_spread_of_the_one_step_error():
     assert PLANT.noise["w"] == pytest.approx(np.sqrt(MODEL.noise[0, 0]))
-    assert PLANT.process == {"noise of w": 1.0 / DT}
+    assert PLANT.process == {"innovation of w": 1.0 / DT}
 
 
 # ---- what is refused --------------------------------------------------------------------------------------------------------
