@@ -61,7 +61,8 @@ CAVEATS = (
     "once in a winding cannot be told from chance.",
     "A black box. The matrices were fitted to the same run without any effect, and have taken in what they could; what is named "
     "is what they could not. Its ports are the logged channels: what sits inside the machine (dry friction, a web that stiffens, "
-    "a radius that changes) has no port, and shows only as something left over.",
+    "a radius that changes) has no port, and shows only as something left over. S1, S2 and S3 are inputs of the model and yet "
+    'measured: where a sentence says "amplifier" of them, it means what lies between the reading and the web.',
     "Not testable: what turns with a reel. An angle is the integral of a speed, and the mean of the speeds was taken away.",
 )
 
@@ -256,7 +257,7 @@ def _worst_half(parts: Halves) -> list[str]:
     share, worst, output = max(own)
     rest = max(other for other, part, name in own if (part, name) != (worst, output))
     return [
-        f"Half by half, {output} in the {worst} is followed worst: its own model leaves {100 * share:.0f} % of the spread there, "
+        f"Half by half, the {output} of {worst}, is followed worst: its own model leaves {100 * share:.0f} % of the spread there, "
         f"no other one more than {100 * rest:.0f} % on its own half."
     ]
 
