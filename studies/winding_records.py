@@ -257,8 +257,8 @@ def _worst_half(parts: Halves) -> list[str]:
     share, worst, output = max(own)
     rest = max(other for other, part, name in own if (part, name) != (worst, output))
     return [
-        f"Half by half, the {output} of {worst}, is followed worst: its own model leaves {100 * share:.0f} % of the spread there, "
-        f"no other one more than {100 * rest:.0f} % on its own half."
+        f"Half by half, the {output} of {worst}, is followed worst: its own model leaves {100 * share:.0f} % of the spread, no "
+        f"other one more than {100 * rest:.0f} % on its own half."
     ]
 
 

@@ -15,10 +15,24 @@ import numpy as np
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import LPVModel
-from workbench.physics.effects.effect import Named
+from workbench.physics.effects.effect import Named, Port
 from workbench.physics.plant import Plant, Start
+from workbench.records import record
 
 ROUNDING = 1e-12  # of the largest variance: what a covariance needs to have a root
+SPEED = "rad/s"
+
+
+@record
+class Turning(Port):
+    """What turns with a logged speed: no effect acts there, but what is left over may go with its angle."""
+
+    speed: str
+
+    def verbs(self, effects, context) -> dict:
+        """None."""
+        del effects, context
+        return {}
 
 
 def identified(model: LPVModel) -> Plant:
@@ -26,7 +40,8 @@ def identified(model: LPVModel) -> Plant:
 
     Its commanded inputs have actuators, its outputs sensors; it has no parameters, for its numbers were fitted all at once and
     none of them is a part of the machine. The schedule is an input that moves on its own and must be logged, unless it is one of
-    the inputs already; what the model remembers of it are states. Raises InputError for a schedule that is an output too.
+    the inputs already; what the model remembers of it are states. A channel in rad/s turns something, whose angle is followed.
+    Raises InputError for a schedule that is an output too.
     """
     schedule = model.schedule
     if schedule and schedule.name in [c.name for c in model.outputs]:
@@ -41,14 +56,18 @@ def identified(model: LPVModel) -> Plant:
     equation = _Equation(model)
     return Plant(
         name=model.name,
-        states=tuple(Channel(name, "") for name in (*equation.states, *equation.noise))
-        + tuple(Channel(name, schedule.unit if schedule else "") for name in equation.past),
+        states=(
+            *(Channel(name, "") for name in (*equation.states, *equation.noise)),
+            *(Channel(name, schedule.unit if schedule else "") for name in equation.past),
+            *(Channel(name, SPEED) for name in equation.speeds.values()),
+        ),
         inputs=inputs,
         outputs=tuple(replace(c, role="output") for c in model.outputs),
         parameters=(),
         equation=equation.difference,
         measure=equation.outputs,
         dt=model.dt,
+        ports=tuple(Turning(place, speed) for place, speed in equation.speeds.items()),
         start=Start(fixed=_at_rest(model, equation.past, inputs)),
         noise={} if model.noise is None else _spread(model),
         substeps=1,
@@ -73,7 +92,7 @@ def _spread(model: LPVModel) -> dict[str, float]:
 
 
 class _Equation:
-    """The equation of a model, with the names of its states: its own, of its noise, and of what it remembers of the schedule."""
+    """The equation of a model, and the names of its states: its own, of its noise, of schedule and speeds as they just were."""
 
     def __init__(self, model: LPVModel):
         self.model = model
@@ -89,9 +108,11 @@ class _Equation:
             steps = max(term.delay for term in model.terms)
             self.past = [f"{model.schedule.name} {k + 1} before" for k in range(steps)]
 
+        self.speeds = {c.name: f"speed of {c.name}" for c in (*model.inputs, *model.outputs) if c.unit == SPEED}
+
     def difference(self, x: Named, u: Named, p: Named, at: Named) -> dict:
         """(x+ - x) / dt of every state."""
-        del p, at
+        del at
         model, weights = self.model, self._weights(x, u)
         now, moved, e = _of(x, self.states), self._deviations(u), _of(x, self.noise)
         after = _product(model.A, weights, now)
@@ -101,7 +122,9 @@ class _Equation:
         after += [0.0] * len(e)
         if self.past:
             after += [self._schedule(u), *_of(x, self.past[:-1])]
-        names = (*self.states, *self.noise, *self.past)
+        shown = vars(u) | self.outputs(x, p, u)
+        after += [shown[place] for place in self.speeds]
+        names = (*self.states, *self.noise, *self.past, *self.speeds.values())
         return {name: (new - old) / model.dt for name, new, old in zip(names, after, _of(x, names), strict=True)}
 
     def outputs(self, x: Named, p: Named, u: Named) -> dict:

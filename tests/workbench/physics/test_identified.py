@@ -93,8 +93,19 @@ def test_a_model_without_schedule_needs_its_inputs_alone():
     model = constant_model("LTI", DT, ((V1, V2), (W,)), matrices, point)
     plant = identified(model)
     assert plant.needed == ("V1", "V2")
-    assert plant.state_names == ("state 1",)  # without a predictor no noise of its own
+    assert plant.state_names == ("state 1", "speed of w")  # without a predictor no noise of its own
     assert stepped(model, RECORD) == pytest.approx(model.simulate(RECORD, warmup=0), rel=1e-13)
+
+
+def test_the_angle_of_a_logged_speed_is_followed():
+    """Its speed is that of the sample before, so the angle is the sum of all speeds but the last."""
+    made = predictor(PLANT, Dataset((RECORD,)))
+    made = made.with_noise(Noise(np.array([1e-8]), made.noise.process, np.empty(0)))
+    full = made.corrected(0, made.point)
+    speed, angle = PLANT.state_names.index("speed of w"), len(PLANT.states) + list(PLANT.turning).index("w")
+    assert full[61:, speed] == pytest.approx(RECORD["w"][60:-1], abs=1e-6)
+    turned = DT * np.cumsum(RECORD["w"])
+    assert full[62:, angle] - full[61, angle] == pytest.approx(turned[60:-2] - turned[59], abs=1e-5)
 
 
 # ---- effects ----------------------------------------------------------------------------------------------------------------
