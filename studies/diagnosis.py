@@ -48,6 +48,8 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     if found.next_experiment and found.next_experiment.signals:
         write_csv(_experiment(chosen.plant, found.next_experiment), folder / EXPERIMENT_FILE)
         say(f"next experiment: {folder / EXPERIMENT_FILE}")
+    else:
+        (folder / EXPERIMENT_FILE).unlink(missing_ok=True)  # that of a former diagnosis decides nothing here
     for path in (folder / "diagnosis.json", options.json):
         if path:
             write_json(path, to_json(found, folder, source))

@@ -140,7 +140,7 @@ def limits_of(machine: str, seed: int = LIMIT_SEED, records: int | None = None) 
     limits = _read_as_sizes(diagnose(PLANTS[machine], dataset).limits, dataset)
     module, quiet = case.MACHINES[machine], _deviance(machine, dataset)
     for name in module.FOREIGN:
-        size, loss = module.TRIAL[name], 0.0
+        size = module.TRIAL[name]
         for _ in range(TRIALS):
             try:
                 runs = case.records(seed, machine, (case.foreign(name, size),))
@@ -148,11 +148,11 @@ def limits_of(machine: str, seed: int = LIMIT_SEED, records: int | None = None) 
                 size *= 0.3
                 continue
             loss = _deviance(machine, Dataset(runs.experiments[:records])) - quiet
+            if loss > CLEAR[0] / 4.0:  # from far off it is nearer now
+                limits[f"{name}@{case.OUTSIDE}"] = size * float(np.sqrt(FIVE_SIGMA / loss))
             if CLEAR[0] < loss < CLEAR[1]:
                 break
-            size *= float(np.clip(np.sqrt(np.sqrt(CLEAR[0] * CLEAR[1]) / max(loss, 1.0)), 0.05, 5.0))
-        if loss > FIVE_SIGMA:
-            limits[f"{name}@{case.OUTSIDE}"] = size * float(np.sqrt(FIVE_SIGMA / loss))
+            size *= float(np.clip(np.sqrt(np.sqrt(CLEAR[0] * CLEAR[1]) / max(loss, 1.0)), 0.05, 20.0))
     return limits
 
 

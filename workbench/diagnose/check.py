@@ -59,6 +59,7 @@ def check(plant: Plant, dataset: Dataset) -> tuple[Note, ...]:
         check_units(e, units)
     _check_length(plant, dataset)
     for e in dataset:
+        notes += _unlogged(plant, e)
         notes += _still(plant, e)
         _check_excitation(plant, e)
         notes += _compared(plant, e)
@@ -79,6 +80,17 @@ def _check_channels(plant: Plant, e: Experiment) -> None:
             channel=", ".join(missing),
             mend="is it a record of this machine? name its channels as the plant does",
         )
+
+
+def _unlogged(plant: Plant, e: Experiment) -> Iterator[Note]:
+    """Inputs that move on their own and are not in the record: what goes with them cannot be seen, and nothing said of it."""
+    known = {*plant.input_names, *plant.output_names}
+    for channel in plant.inputs:
+        if channel.name in plant.commanded or channel.name in e.names:
+            continue
+        same = [c.name for c in e.channels if c.unit == channel.unit and c.name not in known and c.role != "reference"]
+        mend = f"; if it is what the record calls {same[0]}, rename that" if same else ""
+        yield Note(e.name, channel.name, f"is not in the record and taken as 0: no effect that goes with it can be found{mend}")
 
 
 def _check_length(plant: Plant, dataset: Dataset) -> None:

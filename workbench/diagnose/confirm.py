@@ -14,8 +14,10 @@ from workbench.diagnose.fit import _inverse
 from workbench.diagnose.refit import Model
 from workbench.records import field, record
 
+BLOCKS = 8  # at least, for a standard error
 SURE = 40.0  # twice the log-likelihood
 ORDER = 3.0  # standard deviations of a size before anything is seen, over the size that was found
+NONE = 1e-100  # a size at its bound of 0 stays there
 PIECES = 4  # one record is cut into so many
 
 
@@ -59,7 +61,8 @@ class LeftOut:
 
 def left_out(base: Model, extended: Model) -> LeftOut:
     """What the extension gains on each fold, predicted from the others with all that they leave open."""
-    length = max(5, round(1.0 / base.predictor.plant.dt))
+    total = sum(len(r) for r in base.predictor.records)
+    length = max(5, min(round(1.0 / base.predictor.plant.dt), total // BLOCKS))
     gains = np.array([_surprise(base, fold) - _surprise(extended, fold) for fold in folds(base)])
     blocks = []
     for i in range(len(base.predictor.records)):
@@ -103,7 +106,7 @@ def _lent(model: Model) -> tuple[np.ndarray, np.ndarray]:
     at = unknowns.size - unknowns.split[2]
     for t, own in zip(unknowns.terms, unknowns.of_terms(z), strict=True):
         sizes = slice(at, at + len(t.sizes))
-        information[sizes] = 1.0 / max(ORDER * float(np.linalg.norm(z[sizes])), 1e-300) ** 2
+        information[sizes] = 1.0 / max(ORDER * float(np.linalg.norm(z[sizes])), NONE) ** 2
         pull[sizes] = information[sizes] * z[sizes]
         information[at + len(t.sizes) + len(t.free) : at + len(own)] = 3.0 / np.pi**2
         at += len(own)

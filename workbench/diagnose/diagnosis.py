@@ -41,11 +41,10 @@ WORTH = 6.0  # BIC by which a cause must be better
 TIE = 10.0  # BIC within which rivals are a tie
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
-CLOSE = 60.0  # BIC below which a model is given noise levels of its own before it is judged
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
 NEARLY, FINALISTS = 0.1, 3  # share of the best refit's gain that a refit may miss and still be fitted to convergence, how many
 ALIKE = 0.9  # share of a signature that another can mimic from which on both are fitted to convergence
-RIVALS = 4  # of each cause, tried in its place beside the others
+RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; BIC that their first fit may lie behind
 MOST = 3
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
@@ -158,7 +157,7 @@ def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progres
     steps = search.path(base)
     if len(steps) > 1:
         progress("dropping and swapping")
-        steps = _pruned(base, _swapped(steps, search.sizes), search.sizes)
+        steps = _pruned(base, _swapped(steps, search.sizes, most), search.sizes)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
     return _Found(base, tuple(steps), tuple(left), tuple(search.tested))
@@ -229,21 +228,29 @@ def _step(
     finals = [(first, trials[0][1])]
     finals += [(settled(t, sizes, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
     finals.sort(key=lambda pair: pair[0].bic)
-    for best, score in finals:
-        gain = model.bic - best.bic
+    finals = [(m, score) for m, score in finals if _holds(model, m, score.key, steps, most)]
+    if not finals:
+        return None
+    best, score = finals[0]
+    rivals = {s.key: m.bic - best.bic for m, s in finals[1:]}
+    rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
+    return Step(
+        score.key, model, best, score, rivals, model.bic - best.bic, stability(best, score.key), _closest(finals, score.key)
+    )
+
+
+def _holds(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
+    """Whether an effect is a cause beside those of `steps`: worth its numbers, of practical size, its own, and true elsewhere."""
+    gain = before.bic - after.bic
+    return (
         # also where the parameters' moves within their tolerance are paid for: what needs them to move is no cause
-        if (
-            min(gain, gain + model.within - best.within) < WORTH
-            or not _practical(model, best)
-            or not _of_its_own(model.predictor.plant, score.key, gain, steps)
-        ):
-            continue
-        if not left_out(model, best).holds or (np.isfinite(most) and ahead(model, best) > most) or _is_rounding(best, score.key):
-            continue
-        rivals = {s.key: trial.bic - best.bic for trial, s in finals if s.key != score.key}
-        rivals |= {s.key: trial.bic - trials[0][0].bic for trial, s in trials if s.key not in rivals and s.key != score.key}
-        return Step(score.key, model, best, score, rivals, gain, stability(best, score.key), _closest(finals, score.key))
-    return None
+        min(gain, gain + before.within - after.within) >= WORTH
+        and _practical(before, after)
+        and _of_its_own(before.predictor.plant, key, gain, steps)
+        and not _is_rounding(after, key)
+        and left_out(before, after).holds
+        and (np.isinf(most) or ahead(before, after) <= most)
+    )
 
 
 def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:
@@ -277,23 +284,22 @@ def _of_its_own(plant: Plant, key: str, gain: float, steps: Sequence[Step]) -> b
     return all(gain > least(slots[s.key]) * s.gain for s in steps if slots[s.key].place == own.place)
 
 
-def _swapped(steps: list[Step], sizes: np.ndarray) -> list[Step]:
+def _swapped(steps: list[Step], sizes: np.ndarray, most: float) -> list[Step]:
     """Steps of which none gives way to one of its rivals beside all others; what came first was chosen without them."""
     steps, model = list(steps), steps[-1].after
     for j, step in enumerate(steps):
         rivals = [key for key in sorted(step.rivals, key=lambda key: step.rivals[key]) if key not in model.keys][:RIVALS]
-        if not rivals:
-            continue
-        less = without(model, step.key, sizes)
-        found = _screened(less, rivals, sizes)
-        near = [pair for pair in refits(less, found, sizes) if pair[0].bic < model.bic + 3.0 * TIE] if found else []
-        finals = [(settled(trial, sizes, model.predictor.noise), score) for trial, score in near]
-        finals = sorted([*finals, (model, step.score)], key=lambda pair: pair[0].bic)
-        best, score = finals[0]
-        gaps = {s.key: trial.bic - best.bic for trial, s in finals[1:]}
-        rivals = {key: gap for key, gap in step.rivals.items() if key != score.key} | gaps
-        steps[j] = replace(step, key=score.key, score=score, rivals=rivals, rival=_closest(finals, score.key) or step.rival)
-        model = best
+        finals = [(model, step.score)]
+        if rivals:
+            less, others = _without(model, step.key, sizes), steps[:j] + steps[j + 1 :]
+            found = _screened(less, rivals, sizes)
+            near = [pair for pair in refits(less, found, sizes) if pair[0].bic < model.bic + SWAP] if found else []
+            tried = [(settled(trial, sizes, model.predictor.noise), score) for trial, score in near]
+            finals += [(m, score) for m, score in tried if _holds(less, m, score.key, others, most)]
+        finals.sort(key=lambda pair: pair[0].bic)
+        model, score = finals[0]
+        gaps = {s.key: m.bic - model.bic for m, s in finals[1:]}
+        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(finals, score.key))
     steps[-1] = replace(steps[-1], after=model)
     return steps
 
@@ -322,14 +328,13 @@ def _pruned(base: Model, steps: list[Step], sizes: np.ndarray) -> list[Step]:
                 )
                 for step in steps
             ]
-        model, steps = settled(lesser[weakest], sizes), [s for s in steps if s.key != weakest]
+        model, steps = lesser[weakest], [s for s in steps if s.key != weakest]
     return [replace(steps[0], before=base, after=model, gain=base.bic - model.bic, stable=stability(model, steps[0].key))]
 
 
 def _without(model: Model, key: str, sizes: np.ndarray) -> Model:
-    """The model without an effect, with noise levels of its own where it comes close."""
-    less = without(model, key, sizes)
-    return settled(less, sizes) if less.bic - model.bic < CLOSE else less
+    """The model without an effect, with noise levels of its own: those that suit the effect make it look worth too much."""
+    return settled(without(model, key, sizes), sizes)
 
 
 def _with_rounding(found: _Found, channels: Sequence[str]) -> Finding:

@@ -7,6 +7,7 @@ import pytest
 
 from plants import PLANTS
 from studies.experiments import plan
+from tests.workbench.diagnose.cases import robot_records
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.check import check, likeness, nearest
 from workbench.errors import InputError
@@ -195,3 +196,15 @@ def test_the_distance_is_that_of_the_docstring():
 def test_the_channels_of_a_user_without_units_are_taken_as_they_are(winding):
     bare = replace(winding, channels=tuple(Channel(c.name, "", c.role) for c in winding.channels))
     assert check(WINDING, Dataset((bare,))) == ()
+
+
+def test_an_input_that_is_not_logged_is_taken_as_0_and_said():
+    """A typo in the name of the arm's angle must not read as an all-clear."""
+    renamed = []
+    for e in robot_records(3):
+        channels = tuple(replace(c, name="angle", role="other") if c.name == "arm" else c for c in e.channels)
+        renamed.append(replace(e, channels=channels))
+    notes = [note for note in check(ROBOT, Dataset(tuple(renamed))) if note.channel == "arm"]
+    assert len(notes) == 2
+    assert "calls angle" in notes[0].sentence
+    assert not [note for note in check(ROBOT, robot_records(3)) if note.channel == "arm"]

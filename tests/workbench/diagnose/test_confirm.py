@@ -163,3 +163,23 @@ def test_an_effect_of_one_record_only_has_no_stability_to_test():
     model = linear(data, OFFSET)
     silent = replace(model.fit, jacobian=(model.fit.jacobian[0], np.zeros_like(model.fit.jacobian[1])))
     assert stability(Model(model.predictor, silent), OFFSET) == 1.0
+
+
+def test_a_size_at_its_bound_of_0_can_be_left_out_too():
+    data = axis_records(8)
+    base = fitted(data)
+    extended = refitted(base, "coulomb@slide", [0.0])
+    at = extended.fit.unknowns.size - extended.fit.unknowns.split[2]
+    z = extended.fit.z.copy()
+    z[at] = 0.0
+    none = Model(extended.predictor, replace(extended.fit, z=z))
+    assert not left_out(base, none).holds
+
+
+def test_a_record_of_a_second_has_a_standard_error_too():
+    held = []
+    for seed in range(12):
+        data = axis_records(300 + seed, records=1, samples=60)
+        held.append(left_out(linear(data), linear(data, OFFSET)))
+    assert all(found.error > 0.0 for found in held)
+    assert sum(found.holds for found in held) <= 2
