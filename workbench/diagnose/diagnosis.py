@@ -112,7 +112,7 @@ def diagnose(
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     return Diagnosis(
         plant=plant.name,
-        finding=_with_rounding(found, [r.channel for r in rounded(model.predictor)]),
+        finding=_with_rounding(found, [c.place for c in rounds]),
         causes=(*causes, *rounds),
         recalibrated=_parameters(model),
         untestable=_untestable(base, tested),

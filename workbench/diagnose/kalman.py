@@ -96,6 +96,32 @@ def response(
 
 # one signature each: arrays are made contiguous before they come here. Most entries of F, G and H are 0: loops skip them, and run
 # along rows
+@njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
+def _times(F, k, A, out):
+    """out = F_k A."""
+    n = len(A)
+    out[:, :] = 0.0
+    for i in range(n):
+        for m in range(n):
+            f = F[k, i, m]
+            if f != 0.0:
+                for j in range(n):
+                    out[i, j] += f * A[m, j]
+
+
+@njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
+def _gathered(K, k, B, out):
+    """out = K_k' B."""
+    n = len(B)
+    out[:, :] = 0.0
+    for i in range(n):
+        for a in range(len(out)):
+            g = K[k, i, a]
+            if g != 0.0:
+                for j in range(n):
+                    out[a, j] += g * B[i, j]
+
+
 @njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
 def _between(F, k, A, B, P):
     """P = F_k A F_k', symmetric; B (n, n) is room to work in."""
@@ -103,24 +129,11 @@ def _between(F, k, A, B, P):
     for i in range(n):
         for j in range(i + 1):
             A[i, j] = A[j, i] = 0.5 * (A[i, j] + A[j, i])
-    B[:, :] = 0.0  # (F A)' = A F'
-    P[:, :] = 0.0
-    for i in range(n):
-        for m in range(n):
-            f = F[k, i, m]
-            if f != 0.0:
-                for j in range(n):
-                    P[i, j] += f * A[m, j]
+    _times(F, k, A, P)
     for i in range(n):
         for j in range(n):
-            B[j, i] = P[i, j]
-    P[:, :] = 0.0
-    for i in range(n):
-        for m in range(n):
-            f = F[k, i, m]
-            if f != 0.0:
-                for j in range(n):
-                    P[i, j] += f * B[m, j]
+            B[j, i] = P[i, j]  # (F A)' = A F'
+    _times(F, k, B, P)
 
 
 @njit(
@@ -288,13 +301,7 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
                 u[b] += W[k, a, b] * w[a]
             for i in range(n):
                 u[b] -= K[k, i, b] * back[i]
-        KB[:, :] = 0.0
-        for i in range(n):
-            for a in range(ny):
-                g = K[k, i, a]
-                if g != 0.0:
-                    for j in range(n):
-                        KB[a, j] += g * B[i, j]
+        _gathered(K, k, B, KB)
         for a in range(ny):
             for b in range(ny):
                 SI[a, b] = 0.0
@@ -313,13 +320,7 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
                         back[j] += h * u[b]
                         for i in range(n):
                             B[i, j] -= KB[b, i] * h
-        KB[:, :] = 0.0
-        for i in range(n):
-            for a in range(ny):
-                g = K[k, i, a]
-                if g != 0.0:
-                    for j in range(n):
-                        KB[a, j] += g * B[i, j]
+        _gathered(K, k, B, KB)
         for a in range(ny):
             if present[k, a]:
                 for i in range(n):
