@@ -188,17 +188,17 @@ class _Search:
     def screened(self, model: Model) -> list[Score]:
         """Score tests of every effect that the model does not hold yet."""
         self.sizes = small_sizes(model.predictor, model.fit, self.sizes)
-        found = _screened(model, [k for k in self.keys if k not in model.keys], self.sizes)
+        found = _screened(model, [k for k in self.keys if k not in model.keys], self.sizes, columns=not self.tested)
         if not self.tested:
-            self.tested = _shown_best(model, found, self.sizes)
+            self.tested = [min(s.all, key=_most_shown) for s in found]
         return found
 
 
-def _screened(model: Model, keys: Sequence[str], sizes: np.ndarray) -> list[Score]:
+def _screened(model: Model, keys: Sequence[str], sizes: np.ndarray, *, columns: bool = False) -> list[Score]:
     """Score tests of the effects `keys` that the channels of the records could show."""
     tried = variants(model.predictor, model.fit, [k for k in keys if _measurable(model, k)])
     felt = [v for v in tried if not np.isnan(v.finite) or all(sizes[s] > 0.0 for s in v.sizes)]
-    return scores(signatures(model.predictor, model.fit, felt, sizes))
+    return scores(signatures(model.predictor, model.fit, felt, sizes, columns=columns))
 
 
 def _measurable(model: Model, key: str) -> bool:
@@ -484,12 +484,6 @@ def _effects(model: Model) -> EffectSizes:
     return {
         key: {slot.parameter.name: float(eta[i]) for i, slot in enumerate(plant.slots) if slot.key == key} for key in model.keys
     }
-
-
-def _shown_best(model: Model, found: Sequence[Score], sizes: np.ndarray) -> list[Signature]:
-    """Each effect's signature that these records show best, with its columns."""
-    best = [min(s.all, key=_most_shown).variant for s in found]
-    return signatures(model.predictor, model.fit, best, sizes, columns=True)
 
 
 def _most_shown(s: Signature) -> float:

@@ -26,8 +26,8 @@ from workbench.records import field, record
 
 FEWEST = 3  # integrator steps a sample: a sensor that lags sees the output as a straight line over each
 UNTOLD = 5  # samples at the start of a record that do not count: what was commanded before them may still be under way
-VISIBLE = 0.05  # standard deviations of a whitened error that the integrator may be off
-LOOK = 600  # samples on which that is looked at
+VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in all records: of a deviance nothing that counts
+LOOK = 600  # samples of a record on which that is looked at
 STEP = 1e-6  # of a state's scale, for differences of the flow
 
 
@@ -185,7 +185,27 @@ class Predictor:
         lines = tuple(with_decay(line, nd, decay) for line in self.lines)
         return replace(self, noise=noise, lines=lines, passes=tuple(gains(x, noise.pushes, noise.measurement) for x in lines))
 
+    def coarser(self) -> "Predictor":
+        """The same with as few integrator steps a sample as move all errors together by less than VISIBLE."""
+        fine = 4 * self.plant.substeps
+        exact, substeps = self._beginnings(fine), max(FEWEST, self.plant.substeps // 4)
+        share = [len(r) / len(e) for r, e in zip(self.records, exact, strict=True)]
+
+        def off(substeps: int) -> float:
+            pairs = zip(self._beginnings(substeps), exact, share, strict=True)
+            return sum(s * float(np.sum((e - right) ** 2)) for e, right, s in pairs)
+
+        while substeps < fine and off(substeps) > VISIBLE:
+            substeps += 1
+        return replace(self, substeps=substeps)
+
     # ---- inside ------------------------------------------------------------------------------------------------------
+
+    def _beginnings(self, substeps: int) -> list[np.ndarray]:
+        """Whitened errors of the first LOOK samples of every record at the point, with so many integrator steps a sample."""
+        records = tuple(replace(r, u=r.u[:LOOK], y=r.y[:LOOK]) for r in self.records)
+        passes = tuple(Pass(p.gain[:LOOK], p.whitening[:LOOK], 0.0) for p in self.passes)
+        return replace(self, records=records, passes=passes, substeps=substeps).at(self.point)
 
     def _run(self, r: Record, p, eta, start, steering: stepper.Steering) -> stepper.Trajectories:
         R = max(len(p), len(eta), len(start))
@@ -349,22 +369,7 @@ def _first_gains(made: Predictor) -> Predictor:
         lines.append(Linearization(F, G, H, np.isfinite(r.seen)))
     passes = tuple(gains(line, made.noise.pushes, made.noise.measurement) for line in lines)
     made = replace(made, lines=tuple(lines), passes=passes, carried=made._carried()).regained(made.point)
-    return _coarser(made).regained(made.point)
-
-
-def _coarser(made: Predictor) -> Predictor:
-    """As few integrator steps a sample as move no whitened error by more than VISIBLE: what is off by less is no physics."""
-    r = replace(made.records[0], u=made.records[0].u[:LOOK], y=made.records[0].y[:LOOK])
-    short = replace(made, records=(r,), passes=tuple(Pass(p.gain[:LOOK], p.whitening[:LOOK], 0.0) for p in made.passes[:1]))
-
-    def errors(substeps: int) -> np.ndarray:
-        return replace(short, substeps=substeps).errors(0, made.point.p[None], made.point.eta[:1], made.point.start[:1])[0]
-
-    fine = errors(4 * made.substeps)
-    substeps = max(FEWEST, made.substeps // 4)
-    while np.abs(errors(substeps) - fine).max() > VISIBLE and substeps < 4 * made.substeps:
-        substeps = substeps + 1 + substeps // 4
-    return replace(made, substeps=substeps)
+    return made.coarser().regained(made.point)
 
 
 def _prepared(plant: Plant, e: Experiment) -> Record:

@@ -170,8 +170,17 @@ def test_as_many_integrator_steps_as_the_errors_ask_for_whatever_the_plant_says(
     at = (light.nominal[None], made.point.eta[:1], made.point.start[:1])
     half, coarse = (replace(made, substeps=s).errors(0, *at) for s in (2 * made.substeps, made.substeps - 1))
     now = made.errors(0, *at)
-    assert np.abs(now - half).max() < 1.1 * VISIBLE
-    assert np.abs(coarse - half).max() > VISIBLE  # else it costs more than it must
+    assert np.sum((now - half) ** 2) < 1.2 * VISIBLE
+    assert np.sum((coarse - half) ** 2) > 0.5 * VISIBLE  # else it costs more than it must
+
+
+def test_the_record_that_asks_for_most_integrator_steps_decides():
+    still, moved = axis_records(1, samples=200).experiments[0], axis_records(2, samples=200).experiments[0]
+    still = replace(still, values=np.column_stack([0.0 * still["F"], still["q"][0] + 0.0 * still["q"]]))
+    light = replace(AXIS, parameters=(replace(AXIS.parameters[0], value=0.5), AXIS.parameters[1]), substeps=4)
+    alone = predictor(light, Dataset((moved,))).substeps
+    assert alone > predictor(light, Dataset((still,))).substeps
+    assert predictor(light, Dataset((still, moved))).substeps == alone
 
 
 def test_records_that_cannot_be_predicted_are_refused_with_their_place_and_the_mend():
