@@ -22,16 +22,17 @@ from workbench.diagnose.answer import (
     Untestable,
 )
 from workbench.diagnose.check import check
-from workbench.diagnose.confirm import left_out, stability
+from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
 from workbench.diagnose.gains import ahead, errors_on, gained
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
-from workbench.diagnose.refit import Model, refits, settled, shortlist, without
+from workbench.diagnose.refit import Model, is_late, refits, settled, shortlist, without
 from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
 from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
+from workbench.physics.effects.effect import Domain
 from workbench.physics.plant import EffectSizes, Plant, Slot
 from workbench.records import record
 
@@ -39,6 +40,7 @@ ALPHA = SIGNIFICANT  # family-wise, of the screen and of the remainder where not
 LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
 TIE = 10.0  # BIC within which rivals are a tie
+LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
@@ -96,7 +98,7 @@ def diagnose(
     notes = [str(note) for note in check(plant, dataset)]
     found = _searched(plant, dataset, drift is not False, threads, progress)
     torques = len(found.base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
-    if drift is None and torques and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE):
+    if drift is None and torques and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) and not found.local:
         progress("again, without torques that come and go")
         again = _searched(plant, dataset, False, threads, progress)
         if again.steps and ahead(found.model, again.model) < 1.0 - LONG_RUN:
@@ -123,9 +125,22 @@ def diagnose(
         parameters={q.name: float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
         tested=tuple(s.variant.key for s in tested),
         similarity=similarity(tested),
-        notes=(*notes, *_beyond(model)),
+        notes=(*notes, *([str(found.local)] if found.local else []), *_beyond(model)),
         seconds=time.perf_counter() - began,
     )
+
+
+@record
+class Local:
+    """An effect that explains much, but in the records or parts of one that are named only: the machine does not have it."""
+
+    key: str
+    gain: float
+    records: tuple[str, ...]
+
+    def __str__(self) -> str:
+        where = ", ".join(self.records) or "no record by itself"
+        return f"{self.key} would explain something, but in {where} only: look at what was different there"
 
 
 @record
@@ -136,6 +151,7 @@ class _Found:
     steps: tuple[Step, ...]
     left: tuple[Left, ...]
     tested: tuple[Signature, ...]
+    local: Local | None = None
 
     @property
     def model(self) -> Model:
@@ -143,7 +159,10 @@ class _Found:
 
     @property
     def finding(self) -> Finding:
-        return _finding(self.steps, self.left, self.model)
+        found = _finding(self.steps, self.left, self.model)
+        if self.local:  # all is not well, whatever the remainder is like
+            return {Finding.NOTHING: Finding.UNKNOWN, Finding.NAMED: Finding.INCOMPLETE}.get(found, found)
+        return found
 
 
 def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progress: Callable[[str], None]) -> _Found:
@@ -160,7 +179,7 @@ def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progres
         steps = _pruned(base, _swapped(steps, search.sizes, most), search.sizes)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
-    return _Found(base, tuple(steps), tuple(left), tuple(search.tested))
+    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), search.local)
 
 
 class _Search:
@@ -169,6 +188,7 @@ class _Search:
     def __init__(self, keys: Sequence[str], sizes: np.ndarray, most: float, progress: Callable[[str], None]):
         self.keys, self.sizes, self.most, self.progress = list(dict.fromkeys(keys)), sizes, most, progress
         self.tested: list[Signature] = []
+        self.local: Local | None = None
 
     def path(self, base: Model) -> list[Step]:
         """One effect after the other, as long as something is found."""
@@ -180,9 +200,11 @@ class _Search:
             if not found or found[0].p_family > ALPHA:
                 break
             step = _step(model, found, self.sizes, steps, self.most, self.progress)
-            if step is None:
-                break
-            steps.append(step)
+            if isinstance(step, Step):
+                steps.append(step)
+                continue
+            self.local = step
+            break
         return steps
 
     def screened(self, model: Model) -> list[Score]:
@@ -215,9 +237,12 @@ def _measurable(model: Model, key: str) -> bool:
 
 def _step(
     model: Model, found: Sequence[Score], sizes: np.ndarray, steps: Sequence[Step], most: float, progress: Callable[[str], None]
-) -> Step | None:
-    """The best extension of the model by one effect, if it holds; most: errors a second ahead, after over before."""
-    short = shortlist([s for s in found if s.p_family < ALPHA])
+) -> Step | Local | None:
+    """The best extension of the model by one effect, if it holds; most: errors a second ahead, after over before.
+
+    Where none holds, the one that would but for the records that are left out.
+    """
+    short = _with_late(model.predictor.plant, shortlist([s for s in found if s.p_family < ALPHA]), found)
     progress(f"refitting {', '.join(s.key for s in short)}")
     trials = refits(model, short, sizes)
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
@@ -228,9 +253,10 @@ def _step(
     finals = [(first, trials[0][1])]
     finals += [(settled(t, sizes, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
     finals.sort(key=lambda pair: pair[0].bic)
-    finals = [(m, score) for m, score in finals if _holds(model, m, score.key, steps, most)]
+    worthy = [(m, score) for m, score in finals if _worthy(model, m, score.key, steps, most)]
+    finals = [(m, score) for m, score in worthy if left_out(model, m).holds]
     if not finals:
-        return None
+        return next((_local(model, m, score.key) for m, score in worthy if model.bic - m.bic > LOCAL), None)
     best, score = finals[0]
     rivals = {s.key: m.bic - best.bic for m, s in finals[1:]}
     rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
@@ -239,8 +265,8 @@ def _step(
     )
 
 
-def _holds(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
-    """Whether an effect is a cause beside those of `steps`: worth its numbers, of practical size, its own, and true elsewhere."""
+def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
+    """Whether an effect would be a cause beside those of `steps`: worth its numbers, of practical size, and its own."""
     gain = before.bic - after.bic
     return (
         # also where the parameters' moves within their tolerance are paid for: what needs them to move is no cause
@@ -248,9 +274,24 @@ def _holds(before: Model, after: Model, key: str, steps: Sequence[Step], most: f
         and _practical(before, after)
         and _of_its_own(before.predictor.plant, key, gain, steps)
         and not _is_rounding(after, key)
-        and left_out(before, after).holds
         and (np.isinf(most) or ahead(before, after) <= most)
     )
+
+
+def _local(before: Model, after: Model, key: str) -> Local:
+    """Where an effect explains something that does not hold elsewhere."""
+    records, tested = before.predictor.records, folds(before)
+    names = [records[f.record].name if len(records) > 1 else f"samples {f.first} to {f.last}" for f in tested]
+    gains = left_out(before, after).by_fold
+    return Local(key, before.bic - after.bic, tuple(name for name, gain in zip(names, gains, strict=True) if gain > WORTH))
+
+
+def _with_late(plant: Plant, short: list[Score], found: Sequence[Score]) -> list[Score]:
+    """The shortlist, where it holds one effect that makes things late, with every late sensor: small as such a score may be."""
+    late = {slot.key for slot in plant.slots if slot.effect.domain is Domain.SHIFT}
+    if not late & {s.key for s in short}:
+        return short
+    return short + [s for s in found if is_late(plant, s.key) and s not in short]
 
 
 def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:
@@ -295,7 +336,8 @@ def _swapped(steps: list[Step], sizes: np.ndarray, most: float) -> list[Step]:
             found = _screened(less, rivals, sizes)
             near = [pair for pair in refits(less, found, sizes) if pair[0].bic < model.bic + SWAP] if found else []
             tried = [(settled(trial, sizes, model.predictor.noise), score) for trial, score in near]
-            finals += [(m, score) for m, score in tried if _holds(less, m, score.key, others, most)]
+            worthy = [(m, score) for m, score in tried if _worthy(less, m, score.key, others, most)]
+            finals += [(m, score) for m, score in worthy if left_out(less, m).holds]
         finals.sort(key=lambda pair: pair[0].bic)
         model, score = finals[0]
         gaps = {s.key: m.bic - model.bic for m, s in finals[1:]}

@@ -14,12 +14,15 @@ from workbench.diagnose.predictor import Noise, Predictor
 from workbench.diagnose.profile import dated
 from workbench.diagnose.screen import Score, Signature, dated_variants, signatures
 from workbench.diagnose.tuning import tuned
+from workbench.physics.effects.effect import Domain
+from workbench.physics.plant import Plant
 from workbench.records import record
 
 CONVERGED = 3.0  # deviance: half of what a cause must be worth
 SETTLINGS = 4
 CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
+LATE = (3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 
 
 @record
@@ -145,9 +148,31 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
         if best is None or tried.cost < best.cost:
             best = tried
     assert best is not None
-    return Model(
-        model.predictor, gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=1, chords=4, enough=0.5)
-    ), best
+    fit = gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=1, chords=4, enough=0.5)
+    fitted = Model(model.predictor, fit)
+    if not is_late(model.predictor.plant, score.key):
+        return fitted, best
+    late = _from_late(model, best, sizes)
+    return min((fitted, best), (late, late.fit), key=lambda pair: pair[0].bic)
+
+
+def is_late(plant: Plant, key: str) -> bool:
+    """Whether an effect makes a reading late by a memory: a filter that follows it leaves next to nothing of it in the errors."""
+    effect = next(slot.effect for slot in plant.slots if slot.key == key)
+    return effect.domain is Domain.SHIFT and effect.memories > 0
+
+
+def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model:
+    """A fit of a late sensor from times far above the sample time, with gains that know of them."""
+    unknowns, plant = start.unknowns, model.predictor.plant
+    at, tried = unknowns.size - unknowns.terms[-1].count(unknowns.records), []
+    for samples in LATE:
+        z = start.z.copy()
+        z[:at], z[at] = model.fit.z, samples * plant.dt
+        predictor = model.predictor.regained(unknowns.point(z))
+        tried.append(Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0]))
+    best = min(tried, key=lambda m: m.deviance)
+    return Model(best.predictor, gauss_newton(best.predictor, unknowns, best.fit.z, sizes, rounds=2, chords=4, enough=0.5))
 
 
 def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:
