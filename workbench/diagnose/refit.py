@@ -22,7 +22,8 @@ CONVERGED = 3.0  # deviance: half of what a cause must be worth
 SETTLINGS = 4
 CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
-LATE = (3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
+LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
+FAR_OFF = 10.0  # deviance a sample from which a start leads nowhere
 
 
 @record
@@ -153,7 +154,7 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
     if not is_late(model.predictor.plant, score.key):
         return fitted, best
     late = _from_late(model, best, sizes)
-    return min((fitted, best), (late, late.fit), key=lambda pair: pair[0].bic)
+    return (late, late.fit) if late and late.bic < fitted.bic else (fitted, best)
 
 
 def is_late(plant: Plant, key: str) -> bool:
@@ -162,16 +163,24 @@ def is_late(plant: Plant, key: str) -> bool:
     return effect.domain is Domain.SHIFT and effect.memories > 0
 
 
-def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model:
-    """A fit of a late sensor from times far above the sample time, with gains that know of them."""
-    unknowns, plant = start.unknowns, model.predictor.plant
-    at, tried = unknowns.size - unknowns.terms[-1].count(unknowns.records), []
+def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model | None:
+    """A fit of a late sensor from times far above the sample time, with gains that know of them; None where all are far off.
+
+    Each time begins with the gains of the one before: those of a filter without a memory would run away.
+    """
+    unknowns, plant, predictor = start.unknowns, model.predictor.plant, model.predictor
+    at, best = unknowns.size - unknowns.terms[-1].count(unknowns.records), None
     for samples in LATE:
         z = start.z.copy()
         z[:at], z[at] = model.fit.z, samples * plant.dt
-        predictor = model.predictor.regained(unknowns.point(z))
-        tried.append(Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0]))
-    best = min(tried, key=lambda m: m.deviance)
+        with np.errstate(over="ignore", invalid="ignore"):  # a run that the old gains cannot hold ends the search
+            predictor = predictor.regained(unknowns.point(z))
+            tried = Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0])
+        if not tried.deviance < model.deviance + FAR_OFF * predictor.samples:
+            break
+        best = min((best or tried, tried), key=lambda m: m.deviance)
+    if best is None:
+        return None
     return Model(best.predictor, gauss_newton(best.predictor, unknowns, best.fit.z, sizes, rounds=2, chords=4, enough=0.5))
 
 
