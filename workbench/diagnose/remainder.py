@@ -3,7 +3,8 @@
     entry channel x explaining variable
 
 A channel is the rate of change of a state, or a sensor; a variable is a state, an input or time, as bumps, or an angle, as cosine
-and sine.
+and sine. A rate may also hold what goes with an input or with its own state, by a coefficient that changes with another
+variable (a drive that pulls less with the arm out, a rail that binds at its ends): "u times arm".
 
 Each pair is a score test like those of the catalogue, with the response of the predictor linearized along its trajectory and
 the fitted unknowns projected out. A sensor may only be explained by what was known a sample earlier: the controller has computed
@@ -42,18 +43,15 @@ def remainder(model: Model, seed: int = 0) -> list[Left]:
     """Every pair of channel and variable with its p-values, largest evidence first."""
     predictor, fit = model.predictor, model.fit
     trajectories = [_trajectory(model, i) for i in range(len(predictor.records))]
-    variables = _variables(model, trajectories)
-    pairs = [(channel, name) for channel in _channels(model) for name in variables]
+    common = _variables(model, trajectories)
     signs: np.ndarray | None = None
     logs, draws, found = [], [], []
     total = sum(float(np.sum(e**2)) for e in fit.errors)
     for channel in _channels(model):
-        own = [name for name in variables if (channel, name) in pairs]
-        if not own:
-            continue
-        b, S, blocks, widths = _scores(model, channel, [variables[name][1] for name in own])
+        variables = common | _coefficients(model, channel, trajectories, common)
+        b, S, blocks, widths = _scores(model, channel, [basis for _, basis in variables.values()])
         at = 0
-        for name, width in zip(own, widths, strict=True):
+        for name, width in zip(variables, widths, strict=True):
             part = slice(at, at + width)
             at += width
             inverse = _pinv(S[part, part])
@@ -118,6 +116,23 @@ def _variables(model: Model, trajectories) -> dict[str, tuple[np.ndarray, list[n
         centres = np.linspace(low, high, BUMPS)
         width = (high - low) / (BUMPS - 1)
         made[name] = (centres, [np.exp(-0.5 * ((v[:, None] - centres) / width) ** 2) for v in values])
+    return made
+
+
+def _coefficients(model: Model, channel: tuple[str, str], trajectories, common) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
+    """What an input or the channel's own state does by a coefficient that grows or bends with another variable."""
+    kind, name = channel
+    if kind != "rate":
+        return {}
+    made = {}
+    for factor in (*model.predictor.plant.input_names, name):
+        for other in common:
+            if other in (factor, name) or other.startswith("angle of "):
+                continue
+            joined = np.concatenate([t[other] for t in trajectories])
+            z = [(t[other] - joined.mean()) / joined.std() for t in trajectories]
+            bases = [t[factor][:, None] * np.column_stack([v, v**2]) for t, v in zip(trajectories, z, strict=True)]
+            made[f"{factor} times {other}"] = (np.arange(2.0), bases)
     return made
 
 
