@@ -50,6 +50,17 @@ def test_a_force_outside_the_catalogue_is_found_in_its_channel_over_its_variable
     assert fit[2] == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.parametrize(
+    ("extra", "variable"),
+    [(lambda q, v: -120.0 * np.tanh(q / 0.1) * v, "v times q"), (lambda q, v: -900.0 * q**2 * v, "v times q")],
+    ids=["a guide that binds at one end", "a guide that binds at both ends"],
+)
+def test_a_coefficient_that_changes_with_another_variable_is_found_with_both(extra, variable):
+    left = remainder(by_hand(1, extra))
+    assert (left[0].channel, left[0].variable) == ("rate of v", variable)
+    assert left[0].p_family < 1e-4
+
+
 def test_a_bent_sensor_is_found_in_the_sensor():
     model = fitted(axis_records(2, {"sensor-nonlinearity@q": {"curvature": 0.05}}, samples=600))
     assert remainder(model)[0].channel == "sensor of q"
@@ -70,7 +81,9 @@ def test_family_wise_p_values_are_below_their_level_no_more_often_than_stated(nu
 def test_every_channel_meets_every_variable_its_own_among_them(nulls):
     pairs = {(x.channel, x.variable) for x in nulls[0]}
     variables = ("q", "v", "F", "angle of slide", "time")
-    assert pairs == {(label(c), v) for c in (("rate", "v"), ("sensor", "q")) for v in variables}
+    coefficients = ("F times q", "F times time", "v times q", "v times F", "v times time")
+    common = {(label(c), v) for c in (("rate", "v"), ("sensor", "q")) for v in variables}
+    assert pairs == common | {("rate of v", v) for v in coefficients}
 
 
 def test_shares_and_p_values_are_shares_and_p_values(nulls):
