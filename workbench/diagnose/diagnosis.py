@@ -209,9 +209,11 @@ class _Search:
 
     def screened(self, model: Model) -> list[Score]:
         """Score tests of every effect that the model does not hold yet."""
-        self.sizes = small_sizes(model.predictor, model.fit, self.sizes)
-        found = _screened(model, [k for k in self.keys if k not in model.keys], self.sizes, columns=not self.tested)
-        if not self.tested:
+        first = not self.tested
+        if first:
+            self.sizes = small_sizes(model.predictor, model.fit)
+        found = _screened(model, [k for k in self.keys if k not in model.keys], self.sizes, columns=first)
+        if first:
             self.tested = [min(s.all, key=_most_shown) for s in found]
         return found
 

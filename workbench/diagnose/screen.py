@@ -284,12 +284,12 @@ def _blocks(predictor: Predictor, i: int) -> np.ndarray:
     return ny * np.arange(0, max(1, len(predictor.records[i]) - length // 2), length)
 
 
-def small_sizes(predictor: Predictor, fit: Fit, guess: np.ndarray | None = None) -> np.ndarray:
+def small_sizes(predictor: Predictor, fit: Fit) -> np.ndarray:
     """For every size of every effect (ne) a step that changes the whitened errors by about `WANTED`; 0 where nothing changes."""
     plant, point = predictor.plant, fit.point
     slots = [i for i, slot in enumerate(plant.slots) if not slot.parameter.shape]
     sizes = np.zeros(len(plant.slots))
-    sizes[slots] = 1e-5 if guess is None else np.where(guess[slots] > 0, guess[slots], 1e-5)
+    sizes[slots] = 1e-5
     open_slots = list(slots)
     for i in range(len(predictor.records)):
         for _ in range(3):
