@@ -10,7 +10,19 @@ from scipy.stats import beta
 from studies import STUDIES, hidden_effects
 from studies.cli import main as command
 from studies.hidden_effects import SEEDS, TARGETS, configured, run, run_case, said, to_json, verdict
-from studies.hidden_scores import Outcome, Share, by_machine, found, must_be_found, outcome, strangers, summary
+from studies.hidden_scores import (
+    Outcome,
+    Resolution,
+    Share,
+    by_machine,
+    found,
+    must_be_found,
+    outcome,
+    resolution,
+    strangers,
+    summary,
+    tied,
+)
 from workbench.errors import InputError
 
 COULOMB, OFFSET, DELAY, LAG = "coulomb@rail", "offset@u", "input-delay@u", "sensor-lag@v"
@@ -95,6 +107,79 @@ def test_the_limit_that_a_rounded_channel_states_for_itself_excuses_nothing():
     """R^2 = r^2 + q^2/12 makes the stated limit sqrt(3) R grow with the step q: no step would be twice it."""
     assert must_be_found(row(hid("quantisation@v", 9.0, size=9.0), limits=6.0))
     assert not must_be_found(row(hid("quantisation@v", 1.0, size=9.0)))
+
+
+TIED = [named(COULOMB, ties={OFFSET: 0.3})]
+
+
+def after(*causes, runs=2, **more):
+    """The row's part that a recommended experiment adds."""
+    return {"experiment": {"expected": {"steps": 14.0}, "runs": runs, "after": {"verdict": "named", "causes": [*causes]}} | more}
+
+
+@pytest.mark.parametrize(
+    ("causes", "expected"),
+    [
+        ([named(COULOMB)], Resolution.RESOLVED),
+        ([named(COULOMB, ties={OFFSET: 0.01})], Resolution.TIED),
+        ([named(OFFSET, ties={COULOMB: 0.4})], Resolution.TIED),
+        ([named(COULOMB, ties={LAG: 0.01})], Resolution.TIED),  # another rival than before is one
+        ([named(OFFSET)], Resolution.LOST),
+        ([named(COULOMB), named(DELAY)], Resolution.LOST),
+        ([named(COULOMB, ties={OFFSET: 0.1}), named(DELAY)], Resolution.LOST),
+        ([], Resolution.LOST),
+    ],
+)
+@pytest.mark.parametrize("before", [TIED, [named(OFFSET, ties={COULOMB: 0.3})]])
+def test_a_tie_is_resolved_where_the_true_name_stands_alone_after_the_experiment(before, causes, expected):
+    assert resolution(row(hid(COULOMB), causes=before) | after(*causes)) is expected
+
+
+def test_an_experiment_counts_only_where_a_tie_held_what_was_hidden():
+    alone = after(named(COULOMB))
+    assert resolution(row(hid(COULOMB), causes=[named(COULOMB)]) | alone) is None
+    assert resolution(row(hid(COULOMB), causes=[named(OFFSET, ties={DELAY: 0.3})]) | alone) is None
+    assert (
+        resolution(row(hid(COULOMB), causes=[named(OFFSET, ties={COULOMB: 0.1, DELAY: 0.1, LAG: 0.1})]) | alone) is None
+    )  # wide
+    assert resolution(row(hid(COULOMB), causes=TIED)) is None  # nothing was to choose from
+    assert resolution(row(causes=TIED) | alone) is None
+    failed = {k: v for k, v in row(hid(COULOMB)).items() if k in ("seed", "machine", "kind", "truth")} | {"error": "boom"}
+    assert resolution(failed) is None
+
+
+def test_what_no_experiment_decides_and_what_could_not_be_run_are_told_apart():
+    start = row(hid(COULOMB), causes=TIED)
+    assert resolution(start | {"experiment": {"expected": {"steps": 0.1}, "runs": 0}}) is Resolution.UNDECIDABLE
+    fault = {"experiment": {"expected": {"steps": 30.0}, "runs": 1, "fault": "the axis ran away"}}
+    assert resolution(start | fault) is Resolution.FAILED
+    assert "could not be run" in said(start | fault)
+
+
+def test_of_two_effects_that_were_tied_both_must_stand_alone():
+    pair = row(hid(COULOMB), hid(LAG), causes=[*TIED, named(LAG, ties={DELAY: 0.5})])
+    assert tied(pair) == {COULOMB, LAG}
+    assert resolution(pair | after(named(COULOMB), named(LAG))) is Resolution.RESOLVED
+    assert resolution(pair | after(named(COULOMB), named(LAG, ties={DELAY: 0.5}))) is Resolution.TIED
+    assert resolution(pair | after(named(COULOMB))) is Resolution.LOST
+    one = row(hid(COULOMB), hid(LAG), causes=[*TIED, named(LAG)])  # what was never tied need not be found again
+    assert tied(one) == {COULOMB}
+    assert resolution(one | after(named(COULOMB))) is Resolution.RESOLVED
+
+
+def test_the_share_of_resolved_ties_is_of_those_for_which_an_experiment_was_recommended():
+    start = row(hid(COULOMB), causes=TIED)
+    none = {"experiment": {"expected": {}, "runs": 0}}
+    failed = {"experiment": {"expected": {}, "runs": 1, "fault": "slack"}}
+    rows = [start | after(named(COULOMB)), start | after(named(COULOMB)), start | after(*TIED), start | none, start | failed]
+    s = summary([*rows, start, row(hid(COULOMB)), {**start, "undrawn": "no"} | after()])
+    assert (s.resolved.hits, s.resolved.of) == (2, 4)
+    assert (s.undecidable.hits, s.undecidable.of) == (1, 5)
+    assert s.ties == {
+        "the true name alone": 2, "still tied": 1, "the experiment could not be run": 1, "no experiment can": 1,
+    }  # fmt: skip
+    np.testing.assert_allclose(s.resolved.interval, [beta.ppf(0.025, 2, 3), beta.ppf(0.975, 3, 2)], rtol=1e-9)
+    assert summary(MIXED).resolved.of == 0
 
 
 # ---- many rows --------------------------------------------------------------------------------------------------------------
@@ -240,6 +325,9 @@ def test_cases_of_other_limits_are_not_mixed(tmp_path, quick_cases):
 def test_the_configuration_tells_limits_and_versions_apart(monkeypatch):
     before = configured({"m": {"offset@u": 0.1}})
     assert configured({"m": {"offset@u": 0.1}}) == before != configured({"m": {"offset@u": 0.2}})
+    with monkeypatch.context() as other:  # rows that know nothing of experiments are not counted with rows that do
+        other.setattr(hidden_effects, "LAYOUT", hidden_effects.LAYOUT - 1)
+        assert configured({"m": {"offset@u": 0.1}}) != before
     monkeypatch.setattr(hidden_effects, "versions", lambda: {"gain-scheduling-workbench": "another"})
     assert configured({"m": {"offset@u": 0.1}}) != before
 
@@ -277,6 +365,16 @@ def test_the_command_runs_the_seeds_asked_for_and_writes_page_and_numbers(tmp_pa
 def test_cases_are_an_option_of_this_study_alone(tmp_path, capsys):
     assert command(["study", "emps", "--cases", "3", "--out", str(tmp_path)]) == 2
     assert "--cases" in capsys.readouterr().err
+
+
+def test_the_page_shows_what_became_of_ties_and_lists_those_that_were_not_resolved():
+    start = row(hid(COULOMB), causes=TIED)
+    rows = [start | after(named(COULOMB)), start | after(named(OFFSET)), start | {"experiment": {"expected": {}, "runs": 0}}]
+    report = hidden_effects._report(rows, by_machine(rows), {})
+    table, text = next(s for s in report.sections if s.title == "Ties").blocks
+    assert [(r[0], r[1]) for r in table.rows] == [(r.value, n) for r, n in zip(Resolution, (1, 0, 1, 0, 1), strict=True)]
+    assert f"named: {OFFSET}" in text.text
+    assert f"named: {COULOMB} ~" in text.text
 
 
 def test_data_are_refused(tmp_path):
