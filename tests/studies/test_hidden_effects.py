@@ -139,9 +139,8 @@ def test_an_experiment_counts_only_where_a_tie_held_what_was_hidden():
     alone = after(named(COULOMB))
     assert resolution(row(hid(COULOMB), causes=[named(COULOMB)]) | alone) is None
     assert resolution(row(hid(COULOMB), causes=[named(OFFSET, ties={DELAY: 0.3})]) | alone) is None
-    assert (
-        resolution(row(hid(COULOMB), causes=[named(OFFSET, ties={COULOMB: 0.1, DELAY: 0.1, LAG: 0.1})]) | alone) is None
-    )  # wide
+    wide = [named(OFFSET, ties={COULOMB: 0.1, DELAY: 0.1, LAG: 0.1})]
+    assert resolution(row(hid(COULOMB), causes=wide) | alone) is None
     assert resolution(row(hid(COULOMB), causes=TIED)) is None  # nothing was to choose from
     assert resolution(row(causes=TIED) | alone) is None
     failed = {k: v for k, v in row(hid(COULOMB)).items() if k in ("seed", "machine", "kind", "truth")} | {"error": "boom"}
@@ -344,6 +343,30 @@ def test_a_case_holds_what_was_hidden_what_was_said_and_the_limits_of_its_own_re
     assert 0.0 < drawn["own_limits"]["offset@F"] < 5.0
     assert isinstance(outcome(drawn), Outcome)
     assert drawn["seconds"] > 0.0
+
+
+def test_a_tie_of_two_frictions_of_the_robot_is_resolved_by_the_experiment_that_is_recommended():
+    """Friction in one direction, twice its limit: three records cannot tell it from friction in both; more of the plan can."""
+    case = hidden_effects.generator()
+    seed, limits = 12_001_028, {"asymmetric-friction@rail": 0.00639}
+    assert case.lot_of(seed).machine == "welding-robot"
+    drawn = run_case(seed, {"welding-robot": limits}, "c")
+    assert tied(drawn) == {"asymmetric-friction@rail"}
+    assert drawn["experiment"]["runs"] >= 1
+    assert resolution(json.loads(json.dumps(drawn))) is Resolution.RESOLVED
+    (before,), (after,) = drawn["causes"], drawn["experiment"]["after"]["causes"]
+    assert after["delta_bic"] > before["delta_bic"]
+
+
+def test_where_no_experiment_decides_none_is_run(monkeypatch):
+    """A constant force on the rail and one at the motor are the same: whatever moves the robot, it cannot tell them apart."""
+    case = hidden_effects.generator()
+    wanted = ("welding-robot", case.Kind.SINGLE)
+    seed = next(s for s in range(10**4) if (lot := case.lot_of(s)) and (lot.machine, lot.kind) == wanted)
+    monkeypatch.setattr(case, "further", None)
+    drawn = run_case(seed, {"welding-robot": {"rail-tilt@rail": 0.02}}, "c")
+    assert resolution(drawn) is Resolution.UNDECIDABLE
+    assert max(drawn["experiment"]["expected"].values()) < 1.0
 
 
 # ---- command and page ---------------------------------------------------------------------------------------------------------
