@@ -2,11 +2,13 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import beta
 
+from plants import POSITIONING_AXIS
 from studies import STUDIES, hidden_effects
 from studies.cli import main as command
 from studies.hidden_effects import SEEDS, TARGETS, configured, run, run_case, said, to_json, verdict
@@ -23,6 +25,12 @@ from studies.hidden_scores import (
     summary,
     tied,
 )
+from tests.hidden.catalogue import Hidden
+from workbench.data import Dataset, Experiment
+from workbench.diagnose.answer import Limit
+from workbench.diagnose.fit import gauss_newton, term
+from workbench.diagnose.predictor import predictor
+from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.errors import InputError
 
 COULOMB, OFFSET, DELAY, LAG = "coulomb@rail", "offset@u", "input-delay@u", "sensor-lag@v"
@@ -269,6 +277,84 @@ def test_seconds_are_told_by_machine_and_kind():
     (nothing,) = summary([row(seconds=s) for s in (1.0, 2.0, 12.0)]).seconds
     assert (nothing.kind, nothing.cases, nothing.median, nothing.longest) == ("welding-robot, nothing", 3, 2.0, 12.0)
     assert nothing.p90 == pytest.approx(10.0)
+
+
+# ---- detection limits ---------------------------------------------------------------------------------------------------------
+
+ROBOT_MACHINE = "welding-robot"
+
+
+@pytest.fixture
+def losses(monkeypatch):
+    """Records that hold the size that is hidden in them, and a plant that loses 25 (size/limit)^2; beyond `breaks` it breaks."""
+    case = hidden_effects.generator()
+    state = {"limit": 0.02, "breaks": np.inf, "tried": [], "stated": ()}
+
+    def made(seed, machine, truth=()):
+        size = truth[0].size if truth else 0.0
+        state["tried"] += [size] if truth else []
+        if size > state["breaks"]:
+            raise InputError("the robot ran away")
+        inputs = {"u": np.full(60, 2.0) * np.where(np.arange(60) % 2, 1.0, -1.0)}
+        return Dataset((Experiment.from_arrays("made", 0.02, inputs=inputs, outputs={"v": np.full(60, size)}, units={}),))
+
+    class Diagnosed:
+        limits = property(lambda self: state["stated"])
+
+    monkeypatch.setattr(case, "records", made)
+    monkeypatch.setattr(case.MACHINES[ROBOT_MACHINE], "FOREIGN", ("cubic-drag",))
+    monkeypatch.setattr(hidden_effects, "diagnose", lambda plant, data: Diagnosed())
+    monkeypatch.setattr(
+        hidden_effects, "_deviance", lambda machine, data: 7.0 + 25.0 * (data.experiments[0]["v"][0] / state["limit"]) ** 2
+    )
+    state["trial"] = case.MACHINES[ROBOT_MACHINE].TRIAL
+    return state
+
+
+@pytest.mark.parametrize("far", [1e-3, 0.3, 1.0, 4.0, 30.0, 1e4])
+def test_the_limit_of_foreign_physics_is_the_size_that_loses_25_however_far_off_the_first_trial_is(losses, far, monkeypatch):
+    monkeypatch.setitem(losses["trial"], "cubic-drag", far * losses["limit"])
+    found = hidden_effects.limits_of(ROBOT_MACHINE)
+    assert found == {"cubic-drag@outside": pytest.approx(losses["limit"])}
+    assert len(losses["tried"]) <= hidden_effects.TRIALS
+    # read where the loss is clear and not yet far beyond: neither noise nor what bends decides
+    assert 4.0 <= (losses["tried"][-1] / losses["limit"]) ** 2 <= 64.0
+
+
+def test_a_machine_that_breaks_is_tried_with_less_and_what_it_cannot_show_has_no_limit(losses, monkeypatch):
+    monkeypatch.setitem(losses["trial"], "cubic-drag", 40.0 * losses["limit"])
+    losses["breaks"] = 6.0 * losses["limit"]
+    assert hidden_effects.limits_of(ROBOT_MACHINE)["cubic-drag@outside"] == pytest.approx(losses["limit"])
+    losses["breaks"] = 0.0
+    assert hidden_effects.limits_of(ROBOT_MACHINE) == {}
+
+
+def test_the_limit_of_a_saturation_is_how_far_it_lies_below_the_largest_command(losses):
+    losses["stated"] = (Limit("saturation", "u", 1.7, "N"), Limit("offset", "u", 0.1, "N"))
+    found = hidden_effects.limits_of(ROBOT_MACHINE)
+    assert (found["saturation@u"], found["offset@u"]) == (pytest.approx(0.3), 0.1)
+    losses["stated"] = (Limit("saturation", "u", 2.1, "N"),)  # a clip above every command shows nothing
+    assert "saturation@u" not in hidden_effects.limits_of(ROBOT_MACHINE)
+
+
+def test_an_effect_of_three_limits_is_worth_nine_times_25_to_a_fit(monkeypatch):
+    """The limit is read from signatures where nothing is hidden; here it is, and fitted at the noise levels of those records."""
+    case, plant = hidden_effects.generator(), POSITIONING_AXIS
+    monkeypatch.setattr(case.MACHINES["positioning-axis"], "FOREIGN", ())
+    limits = hidden_effects.limits_of("positioning-axis", seed=77, records=1)
+    quiet = recalibrated(predictor(plant, Dataset(case.records(77, "positioning-axis").experiments[:1])))
+    worth = {}
+    for key in ("offset@F", "coulomb@slide"):
+        truth = (Hidden(*key.split("@"), {"level": 3.0 * limits[key]}, 3.0),)
+        made = predictor(plant, Dataset(case.records(77, "positioning-axis", truth).experiments[:1]))
+        made = made.regained(replace(made.point, p=quiet.fit.point.p), quiet.predictor.noise)
+        own, beside = unknowns(made), unknowns(made, (term(plant, key),))
+        sizes = np.zeros(len(plant.slots))
+        sizes[list(beside.terms[0].sizes)] = 0.01 * limits[key]
+        base = gauss_newton(made, own, own.zero(), sizes, rounds=6)
+        worth[key] = base.cost - gauss_newton(made, beside, np.append(base.z, 3.0 * limits[key]), sizes, rounds=6).cost
+    # 2 log L of an effect of 15 standard deviations: 225 with a spread of 30
+    assert all(225.0 - 90.0 < value < 225.0 + 90.0 for value in worth.values()), worth
 
 
 # ---- the table of cases -------------------------------------------------------------------------------------------------------
