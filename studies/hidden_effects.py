@@ -2,7 +2,8 @@
 
 Cases come from the generator in tests/hidden, which has its own equations. A case is a row of cases.jsonl, written whole as soon
 as it is done, and a run that was cut off goes on where it stopped. Sizes are drawn in multiples of the limits that the diagnosis
-states for records without any effect. All rates are of the rows alone: see hidden_scores.
+states for records without any effect. Where the diagnosis declares a tie and recommends an experiment, the generator's machine
+runs it, and the diagnosis is made again. All rates are of the rows alone: see hidden_scores.
 """
 
 import hashlib
@@ -21,9 +22,25 @@ from typing import Any
 import numpy as np
 
 from plants import PLANTS
-from studies.hidden_scores import TESTABLE, Bin, Confusion, Outcome, Row, Seconds, Share, Summary, by_machine, outcome
-from workbench.data import Dataset
+from studies.diagnosis import _templates as plan_of
+from studies.hidden_scores import (
+    TESTABLE,
+    Bin,
+    Confusion,
+    Outcome,
+    Resolution,
+    Row,
+    Seconds,
+    Share,
+    Summary,
+    by_machine,
+    outcome,
+    resolution,
+    tied,
+)
+from workbench.data import Dataset, Experiment
 from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnose.experiments import again
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model
@@ -46,6 +63,7 @@ CLEAR, TRIALS = (100.0, 1600.0), 5  # losses from which a limit is read, how oft
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 600, 30
 CONFUSIONS = 20
+LAYOUT = 2  # of a row: rows of another layout are not counted with these
 
 
 @record
@@ -76,6 +94,7 @@ TARGETS = (
     Target("outside the catalogue, said to be unknown or incomplete", "outside", low=0.85),
     Target("true size inside its stated 95 % interval", "inside", low=0.90, high=0.97),
     Target("one-step error on held-out records lower after extension", "gained", low=1.0),
+    Target("a tie that holds it, resolved by the recommended experiment", "resolved", low=0.90),
 )
 
 
@@ -193,11 +212,43 @@ def run_case(seed: int, limits: Limits, configuration: str) -> dict[str, Any]:
     ]  # fmt: skip
     began = time.process_time()
     try:
-        found = diagnose(PLANTS[lot.machine], drawn.records, drawn.held_out)
+        found = _diagnosed(drawn)
     except Exception as reason:
         return row | {"error": "".join(traceback.format_exception(reason))[-2000:]}
     row["seconds"] = time.process_time() - began
-    return row | _answer(found) | {"own_limits": _own_limits(found, drawn)}
+    row |= _answer(found) | {"own_limits": _own_limits(found, drawn)}
+    if tied(row) and found.next_experiment:
+        row["experiment"] = _next(drawn, found.next_experiment)
+    return row
+
+
+def _diagnosed(drawn: Any) -> Any:
+    """The diagnosis of a case; what to measure next is an experiment of the machine's plan, or one of the records once more."""
+    plant = PLANTS[drawn.machine]
+    templates = (*plan_of(drawn.machine, plant.dt), *(again(plant, e) for e in drawn.records))
+    return diagnose(plant, drawn.records, drawn.held_out, templates=templates)
+
+
+def _with(records: Dataset, more: Sequence[Experiment]) -> Dataset:
+    """All of them, with the channels that all have: an open loop has no set-points."""
+    every = [*records, *more]
+    common = [name for name in every[0].names if all(name in e.names for e in every)]
+    return Dataset(tuple(e.select(common) for e in every))
+
+
+def _next(drawn: Any, todo: Any) -> dict[str, Any]:
+    """What was recommended, and what is said of the records together with those that the generator's machine makes of it.
+
+    runs: 0 where no experiment of the plan decides. fault: why there is no answer.
+    """
+    said: dict[str, Any] = {"expected": dict(todo.expected), "runs": todo.runs if todo.signals else 0}
+    if not said["runs"]:
+        return said
+    try:
+        more = [generator().further(drawn, f"next {k + 1}", todo.signals, k) for k in range(said["runs"])]
+        return said | {"after": _answer(diagnose(PLANTS[drawn.machine], _with(drawn.records, more), drawn.held_out))}
+    except Exception as reason:
+        return said | {"fault": "".join(traceback.format_exception_only(reason))[-2000:]}
 
 
 def _answer(found: Any) -> dict[str, Any]:
@@ -297,8 +348,8 @@ def _limits(folder: Path, progress: Say) -> Limits:
 
 
 def configured(limits: Limits) -> str:
-    """What rows must share to be counted together: a hash of the limits, the workbench's version and that of what computes."""
-    content = plain_json.dumps([limits, versions()], sort_keys=True)
+    """What rows must share to be counted together: a hash of layout, limits, and the versions of all that computes."""
+    content = plain_json.dumps([LAYOUT, limits, versions()], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 
@@ -309,8 +360,14 @@ def said(row: Row) -> str:
     for fault in ("undrawn", "error"):
         if fault in row:
             return f"{start} -> {fault}: {row[fault].splitlines()[-1]}"
-    found = ", ".join(c["key"] + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "") for c in row["causes"]) or "no cause"
-    return f"{start} -> {row['verdict']}: {found} ({row['seconds']:.1f} s)"
+    found = resolution(row)
+    then = f"; the next experiment: {found.value}" if found else ""
+    return f"{start} -> {_causes_said(row)} ({row['seconds']:.1f} s){then}"
+
+
+def _causes_said(answer: Mapping[str, Any]) -> str:
+    found = ", ".join(c["key"] + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "") for c in answer["causes"]) or "no cause"
+    return f"{answer['verdict']}: {found}"
 
 
 # ---- the page ---------------------------------------------------------------------------------------------------------------
@@ -358,6 +415,7 @@ def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str,
         Section("Targets", (_targets(found), _outcomes(found))),
         Section("Size", _sizes(whole)),
         Section("Stated odds", _calibration(whole)),
+        Section("Ties", _ties(rows, found)),
         Section("What was taken for what", _confusion(rows, whole)),
         Section("Run time", _seconds(whole)),
         Section("Cases that went wrong", _wrong(rows)),
@@ -444,6 +502,25 @@ def _confusion(rows: Sequence[Row], s: Summary) -> tuple[Block, ...]:
             )
         )
     return tuple(blocks)
+
+
+def _ties(rows: Sequence[Row], found: Mapping[str, Summary]) -> tuple[Block, ...]:
+    """What became of every tie that held what was hidden, and each that its experiment did not resolve."""
+    if not found["all"].ties:
+        return ()
+    counts = tuple((r.value, *(s.ties.get(r.value, 0) for s in found.values())) for r in Resolution)
+    caption = (
+        "Ties that hold what was hidden. The generator's machine runs what is recommended, with the same parameters, the same "
+        "effect and fresh noise; the diagnosis is then made again with all records."
+    )
+    table = Table("After the recommended experiment", ("said then", *found), counts, caption=caption)
+    open_ = [row for row in rows if resolution(row) in (Resolution.TIED, Resolution.LOST, Resolution.FAILED)]
+    return (table, *([Text("Not resolved:\n\n" + "\n\n".join(map(_not_resolved, open_)))] if open_ else []))
+
+
+def _not_resolved(row: Row) -> str:
+    then = row["experiment"]
+    return f"{said(row)}: {_causes_said(then['after']) if 'after' in then else then['fault'].strip()}"
 
 
 def _squares(rows: Sequence[Row]) -> Picture | None:

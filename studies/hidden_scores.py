@@ -1,7 +1,8 @@
 """How right a diagnosis was, from the rows of the study hidden-effects alone: rates with their 95 % intervals.
 
 A row says what was hidden (truth) and what was said (verdict, causes with ties). A name counts as right only if nothing wrong is
-named beside it, and a tie only if it declares three effects at most. Failed cases are not left out: they are misses.
+named beside it, and a tie only if it declares three effects at most. Failed cases are not left out: they are misses. Where a tie
+holds what was hidden, a row also says which experiment was recommended and what was said after it (experiment).
 """
 
 from collections import Counter
@@ -35,6 +36,16 @@ class Outcome(Enum):
     FLAGGED = "wrong name, said to be uncertain or incomplete"
     UNKNOWN = "something missing, no name"
     MISSED = "nothing said"
+
+
+class Resolution(Enum):
+    """What became of a tie that held what was hidden."""
+
+    RESOLVED = "the true name alone"
+    TIED = "still tied"
+    LOST = "a wrong name, or none"
+    FAILED = "the experiment could not be run"
+    UNDECIDABLE = "no experiment can"
 
 
 @record
@@ -126,6 +137,9 @@ class Summary:
     outside: Share  # of cases outside the catalogue at FAR_OUTSIDE or more: "unknown" or "incomplete"
     inside: Share  # of stated intervals of right causes: the true number lies inside
     gained: Share  # of named causes: the one-step error on held-out records is lower with it
+    resolved: Share  # of recommended experiments for ties that hold what was hidden: afterwards the true name stands alone
+    undecidable: Share  # of such ties: no experiment is recommended, for none of the plan would decide
+    ties: Mapping[str, int]  # the same by what became of them
     outcomes: Mapping[str, int]  # of testable single effects
     detection: tuple[Bin, ...]  # single effects by multiple: right or tie
     noticed: tuple[Bin, ...]  # the same: anything said
@@ -196,6 +210,29 @@ def _shown(row: Row, truth: Mapping[str, Any]) -> bool:
     return limit is not None and truth["size"] >= TESTABLE * limit
 
 
+def tied(row: Row) -> set[str]:
+    """The hidden effects that a declared tie holds."""
+    return {t["key"] for t in row["truth"] for c in _causes(row) if c["ties"] and t["key"] in names(c)}
+
+
+def resolution(row: Row) -> Resolution | None:
+    """What the recommended experiment made of a tie; None where no tie holds what was hidden, or there is no plan to choose from.
+
+    Strict: every effect that was in a tie is named alone, and nothing wrong is named beside it, whatever was there before.
+    """
+    keys, experiment = tied(row), row.get("experiment")
+    if not keys or experiment is None:
+        return None
+    if not experiment["runs"]:
+        return Resolution.UNDECIDABLE
+    if "fault" in experiment:
+        return Resolution.FAILED
+    after = {"truth": row["truth"], "causes": experiment["after"]["causes"]}
+    if strangers(after) or not keys <= set().union(*map(names, after["causes"])):
+        return Resolution.LOST
+    return Resolution.RESOLVED if keys <= {c["key"] for c in after["causes"] if not c["ties"]} else Resolution.TIED
+
+
 def _causes(row: Row) -> Sequence[Mapping[str, Any]]:
     return row.get("causes", ())
 
@@ -213,6 +250,7 @@ def summary(rows: Iterable[Row]) -> Summary:
     shown, both = [row for row in single if must_be_found(row)], [row for row in pairs if must_be_found(row)]
     said = [outcome(row) for row in shown]
     held = (Outcome.RIGHT, Outcome.TIE)
+    ties = [r for row in rows if (r := resolution(row))]
     return Summary(
         cases=len(rows),
         errors=sum("error" in row for row in rows),
@@ -231,6 +269,9 @@ def summary(rows: Iterable[Row]) -> Summary:
         outside=share(row.get("verdict") in ("unknown", "incomplete") for row in far),
         inside=share(_inside(rows)),
         gained=share(_gained(rows)),
+        resolved=share(r is Resolution.RESOLVED for r in ties if r is not Resolution.UNDECIDABLE),
+        undecidable=share(r is Resolution.UNDECIDABLE for r in ties),
+        ties={r.value: n for r in Resolution if (n := ties.count(r))},
         outcomes={o.value: n for o in Outcome if (n := said.count(o))},
         detection=_by_size(single, lambda row: outcome(row) in held),
         noticed=_by_size(single, lambda row: outcome(row) is not Outcome.MISSED),

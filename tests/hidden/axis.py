@@ -5,6 +5,7 @@
 Runge-Kutta of fourth order at 0.25 ms; the force is drawn once a sample of 1 ms.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from numba import njit
 
 from plants import POSITIONING_AXIS
 from tests.hidden.catalogue import ACTUATOR, SENSOR, SLIDE, Hidden, Ranges, fields_of, foreign_fields
-from tests.hidden.drawn import Outcome, Programme, logged, within_tolerance
+from tests.hidden.drawn import Outcome, Programme, asked, logged, within_tolerance
 from tests.hidden.parts import (
     LONGEST_DELAY,
     SENSOR_MEMORY,
@@ -47,13 +48,17 @@ class Machine(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """F = kp (r - q) + kd (r' - d) + feed r'' + z,  d the difference of q, filtered;  z+ = z + ki dt (r - q)."""
+    """F = kp (r - q) + kd (r' - d) + feed r'' + z,  d the difference of q, filtered;  z+ = z + ki dt (r - q).
 
-    kp: float
-    ki: float
-    kd: float
-    feed: float
-    fade: float
+    An open loop is F = direct r, from the middle of the way.
+    """
+
+    kp: float = 0.0
+    ki: float = 0.0
+    kd: float = 0.0
+    feed: float = 0.0
+    fade: float = 0.0
+    direct: float = 0.0
 
 
 class Foreign(NamedTuple):
@@ -75,12 +80,12 @@ def _rates(x, rate, m, shaft, foreign, bristle, force, t):
 
 @njit(cache=True)
 def run(m, shaft, drive, sensor, foreign, loop, course, forces, draws):
-    """(forces commanded (N), positions measured (N)) from rest at course[0]: course (N) set-points, forces (N) disturbance."""
+    """(forces commanded (N), positions measured (N)) from rest: course (N) set-points or forces, forces (N) disturbance."""
     N, h = len(course), DT / FINE
     commands, measured = np.empty(N), np.empty(N)
     x, k1, k2, k3, k4 = np.zeros(2), np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     mid = np.empty(len(x))
-    x[0] = seen = before = course[0]
+    x[0] = seen = before = course[0] if loop.direct == 0.0 else 0.0
     fifo, count, bristle, gap, z, speed = np.zeros(int(LONGEST_DELAY / h) + 2), 0, 0.0, 0.0, 0.0, 0.0
     memory = np.empty(SENSOR_MEMORY)
     sense_start(memory, seen)
@@ -93,7 +98,7 @@ def run(m, shaft, drive, sensor, foreign, loop, course, forces, draws):
         inner = min(max(k, 1), N - 2)  # a course that ends on the move is not braked in its last sample
         last, now, after = course[inner - 1], course[inner], course[inner + 1]
         wanted, push = (after - last) / (2.0 * DT), (after - 2.0 * now + last) / DT**2
-        u = commands[k] = loop.kp * (course[k] - y) + loop.kd * (wanted - speed) + loop.feed * push + z
+        u = commands[k] = loop.kp * (course[k] - y) + loop.kd * (wanted - speed) + loop.feed * push + z + loop.direct * course[k]
         z += loop.ki * DT * (course[k] - y)
         for j in range(FINE):
             t = k * DT + j * h
@@ -189,6 +194,12 @@ def programmes(setting: Setting, random: np.random.Generator) -> tuple[Programme
     return (*learned, Programme("other moves (held out)", moves()[:, None], held_out=True))
 
 
+def follow(setting: Setting, name: str, references: Mapping[str, np.ndarray]) -> Programme:
+    """The programme that asks for these set-points of position, or for these forces."""
+    del setting
+    return asked(name, references, ("q_set",), ("F",))
+
+
 def _move(way: float, fastest: float, acceleration: float) -> np.ndarray:
     """0 to 1 with a trapezoid of speed [m/s, m/s^2]."""
     fastest = min(fastest, np.sqrt(way * acceleration))
@@ -202,14 +213,16 @@ def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], 
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
     course = np.ascontiguousarray(programme.signals[:, 0])
+    loop = Loop(direct=1.0) if programme.open_loop else setting.loop
     forces = FORCE_NOISE * coloured(draws, (len(course), 1), setting.pole, setting.share)[:, 0]
     sensor = Sensor(READING, setting.resolution)._replace(**fields_of(Sensor, hidden, "q", phases))
     shaft = Shaft(breakaway=2e-5)._replace(**fields_of(Shaft, hidden, "slide", phases))
     commands, measured = run(
         setting.machine, shaft, Drive(**fields_of(Drive, hidden, "F", phases)), sensor,
-        Foreign(**foreign_fields(Foreign, hidden)), setting.loop, course, forces, draws.standard_normal(len(course)),
+        Foreign(**foreign_fields(Foreign, hidden)), loop, course, forces, draws.standard_normal(len(course)),
     )  # fmt: skip
     fault = "the axis ran away" * (not np.abs(measured).max() < 2.0 * HALF)
     values = {"F": commands, "q": measured, "q_set": course}
     values = {name: np.nan_to_num(v, posinf=0.0) for name, v in values.items()} if fault else values
-    return Outcome(logged(PLANT, programme.name, values, ("F", "q"), {"q_set": "q"}), fault)
+    references = {} if programme.open_loop else {"q_set": "q"}
+    return Outcome(logged(PLANT, programme.name, values, ("F", "q"), references), fault)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from enum import Enum
 from functools import cached_property
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from tests.hidden.catalogue import SIGNED, SIZE, Hidden, shapes
 from tests.hidden.drawn import Outcome, Programme
 from workbench.data import Dataset, Experiment
 from workbench.errors import InputError, check_known
-from workbench.records import field, record
+from workbench.records import record
 
 MACHINES: dict[str, ModuleType] = {module.NAME: module for module in (winding, robot, axis)}
 MIX = {"web-winding": 0.60, "welding-robot": 0.25, "positioning-axis": 0.15}
@@ -53,8 +54,13 @@ class Case:
     records: Dataset
     held_out: Dataset
     truth: tuple[Hidden, ...]
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    setting: Any  # of the machine's module: the machine as it was drawn, with its loop
     notes: tuple[str, ...] = ()
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The machine's true parameters."""
+        return self.setting.machine._asdict()
 
 
 def draw(seed: int, *, machine: str | None = None, kind: Kind | None = None, limits: Mapping[str, float]) -> Case:
@@ -87,8 +93,21 @@ def draw(seed: int, *, machine: str | None = None, kind: Kind | None = None, lim
         )
     records = tuple(o.experiment for o, p in zip(outcomes, bench.programmes, strict=True) if not p.held_out)
     held_out = tuple(o.experiment for o, p in zip(outcomes, bench.programmes, strict=True) if p.held_out)
-    parameters = bench.setting.machine._asdict()
-    return Case(seed, module.NAME, kind, Dataset(records), Dataset(held_out), truth, parameters, tuple(notes))
+    return Case(seed, module.NAME, kind, Dataset(records), Dataset(held_out), truth, bench.setting, tuple(notes))
+
+
+def further(case: Case, name: str, references: Mapping[str, np.ndarray], run: int = 0) -> Experiment:
+    """A further record of a case: the same machine with the same truth follows `references` (N,); its noise is that of `run`.
+
+    references: set-points by name in the machine's own loop, or commands by name in open loop. Raises InputError for other
+    names, and where the run is not sound.
+    """
+    module = MACHINES[case.machine]
+    programme = module.follow(case.setting, name, references)
+    found = module.outcome(case.setting, programme, case.truth, np.random.SeedSequence([case.seed, 6, run]))
+    if found.fault:
+        raise InputError(f"seed {case.seed}, {name}: {found.fault}", mend="ask for less")
+    return found.experiment
 
 
 def records(seed: int, machine: str, truth: tuple[Hidden, ...] = ()) -> Dataset:

@@ -5,17 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from workbench.data import Experiment
+from workbench.errors import InputError
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 
 @record
 class Programme:
-    """What a run is asked to do: set-points or courses (N, n); a held-out one is another programme, never to learn from."""
+    """What a run is asked to do: set-points or courses (N, n); a held-out one is another programme, never to learn from.
+
+    open_loop: the signals are the commands themselves, and no loop follows them.
+    """
 
     name: str
     signals: np.ndarray = field("N n")
     held_out: bool = False
+    open_loop: bool = False
 
 
 @record
@@ -24,6 +29,20 @@ class Outcome:
 
     experiment: Experiment
     fault: str
+
+
+def asked(
+    name: str, references: Mapping[str, np.ndarray], set_points: Sequence[str] = (), commands: Sequence[str] = ()
+) -> Programme:
+    """The programme in which a machine follows `references`, (N,) by name: its set-points, or its commands in open loop.
+
+    Raises InputError where they are neither: a machine runs with all of its set-points or with all of its commands.
+    """
+    for names, open_loop in ((set_points, False), (commands, True)):
+        if names and set(names) == set(references):
+            return Programme(name, np.column_stack([references[n] for n in names]), open_loop=open_loop)
+    known = " or ".join(", ".join(names) for names in (set_points, commands) if names)
+    raise InputError(f"the machine cannot follow {', '.join(references)}", file=name, mend=f"give {known}")
 
 
 def within_tolerance(plant: Plant, random: np.random.Generator) -> dict[str, float]:

@@ -5,6 +5,7 @@
 The platform is driven open loop or by a PI loop on its speed. Runge-Kutta of fourth order at 1 ms.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from numba import njit
 
 from plants import WELDING_ROBOT
 from tests.hidden.catalogue import ACTUATOR, ROBOT, SENSOR, SLIDE, Hidden, Ranges, fields_of, foreign_fields
-from tests.hidden.drawn import Outcome, Programme, logged, staircase, within_tolerance
+from tests.hidden.drawn import Outcome, Programme, asked, logged, staircase, within_tolerance
 from tests.hidden.parts import (
     LONGEST_DELAY,
     SENSOR_MEMORY,
@@ -211,20 +212,26 @@ def programmes(setting: Setting, random: np.random.Generator) -> tuple[Programme
     return tuple(Programme(name, np.column_stack([scale * course, angle]), held_out=held) for name, course, angle, held in kept)
 
 
+def follow(setting: Setting, name: str, references: Mapping[str, np.ndarray]) -> Programme:
+    """The programme that asks for these set-points of speed, where there is a loop, or for these forces; and moves the arm."""
+    return asked(name, references, () if setting.loop == Loop() else ("v_set", "arm"), ("u", "arm"))
+
+
 def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], seed: np.random.SeedSequence) -> Outcome:
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
     course, angle = programme.signals.T
+    loop = Loop() if programme.open_loop else setting.loop
     forces = FORCE_NOISE * coloured(draws, (len(course), 1), setting.pole, setting.share)[:, 0]
     sensor = Sensor(PLANT.noise["v"], setting.resolution)._replace(**fields_of(Sensor, hidden, "v", phases))
     shaft = Shaft(breakaway=2e-4)._replace(**fields_of(Shaft, hidden, "rail", phases))
     commands, measured = run(
         setting.machine, shaft, Drive(**fields_of(Drive, hidden, "u", phases)), sensor,
-        Arm(**fields_of(Arm, hidden, "rail", phases)), Foreign(**foreign_fields(Foreign, hidden)), setting.loop,
+        Arm(**fields_of(Arm, hidden, "rail", phases)), Foreign(**foreign_fields(Foreign, hidden)), loop,
         np.ascontiguousarray(course), np.ascontiguousarray(angle), forces, draws.standard_normal(len(course)),
     )  # fmt: skip
     fault = "the robot ran away" * (not np.abs(measured).max() < FASTEST)
     values = {"u": commands, "v": measured, "arm": RESOLUTION * np.round(angle / RESOLUTION), "v_set": course}
     values = {name: np.nan_to_num(v, posinf=0.0) for name, v in values.items()} if fault else values
-    references = {} if setting.loop == Loop() else {"v_set": "v"}
+    references = {} if loop == Loop() else {"v_set": "v"}
     return Outcome(logged(PLANT, programme.name, values, ("u", "arm", "v"), references), fault)

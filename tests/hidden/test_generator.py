@@ -9,7 +9,7 @@ from scipy.signal import welch
 
 from controllers.pid import PILoops
 from tests.hidden import axis, parts, robot, winding
-from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, foreign, lot_of, records
+from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, foreign, further, lot_of, records
 from tests.hidden.catalogue import SIZE, Hidden, fields_of, shapes
 from tests.hidden.drawn import Programme
 from workbench.errors import InputError
@@ -414,3 +414,88 @@ def test_unknown_names_and_limits_that_are_no_limits_are_refused():
     with pytest.raises(InputError, match="too few effects"):
         draw(0, machine="web-winding", kind=Kind.PAIR, limits={"coulomb@rewind": 1e-3})
     assert replace(hidden("coulomb@rewind", 1.0), multiple=2.0).key == "coulomb@rewind"
+
+
+# ---- further runs ----------------------------------------------------------------------------------------------------
+
+BIAS = 0.05
+
+
+@pytest.fixture(scope="module")
+def biased():
+    """A robot whose speed sensor is off by BIAS."""
+    limits = {"sensor-bias@v": 0.02}
+    case = draw(3, machine="welding-robot", kind=Kind.SINGLE, limits=limits)
+    return replace(case, truth=(hidden("sensor-bias@v", BIAS),))
+
+
+FORCES = {"u": 2.0 * staircase(400, [0.0, 1.0, -0.5, 0.7], rise=1), "arm": staircase(400, [0.0, 1.0, -1.0], rise=60)}
+
+
+def test_a_further_run_follows_what_is_asked_for_and_nothing_else(biased):
+    run = further(biased, "next", FORCES)
+    np.testing.assert_array_equal(run["u"], FORCES["u"])
+    np.testing.assert_allclose(run["arm"], FORCES["arm"], atol=0.5 * robot.RESOLUTION)
+    assert (run.name, set(run.names), run.dt) == ("next", {"u", "arm", "v"}, robot.DT)
+
+
+def test_a_further_run_is_of_the_same_machine_with_the_same_effect(biased):
+    """As its own parameters and the bias move it, not as the data sheet's; without the effect it is the same but for the bias."""
+    run, player = further(biased, "next", FORCES)["v"], Playback(("u", "arm"), robot.DT)
+    own, nominal = (
+        simulate(robot.PLANT, player, Scenario("quiet", FORCES), parameters=p).experiment["v"] + BIAS
+        for p in (biased.parameters, {})
+    )
+    off = np.std(run - own)
+    assert off < 5 * robot.PLANT.noise["v"]
+    assert np.std(run - nominal) > 3 * off
+    without = further(replace(biased, truth=()), "next", FORCES)["v"]
+    np.testing.assert_allclose(run - without, BIAS, atol=robot.PLANT.noise["v"])  # rounded readings apart
+
+
+def test_noise_of_a_further_run_is_that_of_its_number_and_of_no_record(biased):
+    first, same, second = (further(biased, "next", FORCES, k)["v"] for k in (0, 0, 1))
+    np.testing.assert_array_equal(first, same)
+    assert np.std(first - second) > robot.PLANT.noise["v"]
+    case = draw(7, machine="positioning-axis", kind=Kind.NOTHING, limits={})
+    made = case.records.experiments[0]
+    repeated = further(case, "again", {"q_set": made["q_set"]})
+    np.testing.assert_array_equal(repeated["q_set"], made["q_set"])
+    assert np.std(repeated["F"] - made["F"]) > 0.0
+    assert np.std(repeated["F"] - made["F"]) < 0.2 * np.std(made["F"])
+
+
+def test_forces_push_the_axis_without_a_loop_from_the_middle_of_its_way():
+    case = draw(7, machine="positioning-axis", kind=Kind.NOTHING, limits={})
+    force = staircase(3000, [0.0, 30.0, -30.0, 0.0], rise=1)
+    run = further(case, "push", {"F": force})
+    np.testing.assert_array_equal(run["F"], force)
+    assert set(run.names) == {"F", "q"}
+    expected = simulate(axis.PLANT, Playback(("F",), axis.DT), Scenario("quiet", {"F": force}), parameters=case.parameters)
+    np.testing.assert_allclose(run["q"], expected.experiment["q"], atol=0.05 * np.ptp(run["q"]))
+    with pytest.raises(InputError, match="ran away"):
+        further(case, "push", {"F": np.full(6000, 100.0)})
+
+
+def test_a_winding_machine_whose_loop_was_drawn_again_repeats_a_record_under_the_loop_of_that_record(monkeypatch):
+    monkeypatch.setitem(winding.CAPS, "periodic-tension", 60.0)
+    case = draw(1, machine="web-winding", kind=Kind.SINGLE, limits={"periodic-tension@T1": 2.0})
+    assert any("another loop" in note for note in case.notes)
+    made = case.records.experiments[0]
+    asked = {name: made[name] for name in ("w3_set", "theta_set")}
+    first = _Bench(winding, case.seed).setting
+    assert case.setting.loop != first.loop
+    off = [np.std(further(c, "again", asked)["V2"] - made["V2"]) for c in (case, replace(case, setting=first))]
+    assert off[0] < 0.75 * off[1]
+
+
+def test_a_machine_is_asked_for_all_of_its_set_points_or_all_of_its_commands(biased):
+    with pytest.raises(InputError, match="u, arm"):
+        further(biased, "next", {"u": FORCES["u"]})
+    setting = winding.setting(np.random.default_rng(0), False)
+    with pytest.raises(InputError, match="w3_set, theta_set"):
+        winding.follow(setting, "next", {"V1": np.ones(10), "V2": np.ones(10)})
+    with pytest.raises(InputError, match="cannot follow v_set"):  # an open loop has no set-points
+        robot.follow(
+            robot.Setting(setting.machine, robot.Loop(), 0.9, 0.1, 0.1), "next", {"v_set": np.ones(9), "arm": np.ones(9)}
+        )

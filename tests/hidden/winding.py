@@ -8,6 +8,7 @@ the guide gives, which holds both the changed arm and the changed length of the 
 order at 2 ms; bristles, gears, delays and sensors move between the steps.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from numba import njit
 
 from plants import WEB_WINDING
 from tests.hidden.catalogue import ACTUATOR, SENSOR, SHAFT, SPAN, Hidden, Ranges, fields_of, foreign_fields
-from tests.hidden.drawn import Outcome, Programme, logged, staircase, within_tolerance
+from tests.hidden.drawn import Outcome, Programme, asked, logged, staircase, within_tolerance
 from tests.hidden.parts import (
     LONGEST_DELAY,
     SENSOR_MEMORY,
@@ -387,6 +388,12 @@ def programmes(setting: Setting, random: np.random.Generator) -> tuple[Programme
         ),
     ]
     return tuple(made[: 5 + int(random.integers(2))])
+
+
+def follow(setting: Setting, name: str, references: Mapping[str, np.ndarray]) -> Programme:
+    """The programme that asks for these set-points of speed and dancer; voltages alone would not hold the tape tight."""
+    del setting
+    return asked(name, references, ("w3_set", "theta_set"))
 
 
 def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], seed: np.random.SeedSequence) -> Outcome:

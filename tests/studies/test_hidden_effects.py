@@ -2,15 +2,35 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import beta
 
+from plants import POSITIONING_AXIS
 from studies import STUDIES, hidden_effects
 from studies.cli import main as command
 from studies.hidden_effects import SEEDS, TARGETS, configured, run, run_case, said, to_json, verdict
-from studies.hidden_scores import Outcome, Share, by_machine, found, must_be_found, outcome, strangers, summary
+from studies.hidden_scores import (
+    Outcome,
+    Resolution,
+    Share,
+    by_machine,
+    found,
+    must_be_found,
+    outcome,
+    resolution,
+    strangers,
+    summary,
+    tied,
+)
+from tests.hidden.catalogue import Hidden
+from workbench.data import Dataset, Experiment
+from workbench.diagnose.answer import Limit
+from workbench.diagnose.fit import gauss_newton, term
+from workbench.diagnose.predictor import predictor
+from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.errors import InputError
 
 COULOMB, OFFSET, DELAY, LAG = "coulomb@rail", "offset@u", "input-delay@u", "sensor-lag@v"
@@ -95,6 +115,78 @@ def test_the_limit_that_a_rounded_channel_states_for_itself_excuses_nothing():
     """R^2 = r^2 + q^2/12 makes the stated limit sqrt(3) R grow with the step q: no step would be twice it."""
     assert must_be_found(row(hid("quantisation@v", 9.0, size=9.0), limits=6.0))
     assert not must_be_found(row(hid("quantisation@v", 1.0, size=9.0)))
+
+
+TIED = [named(COULOMB, ties={OFFSET: 0.3})]
+
+
+def after(*causes, runs=2, **more):
+    """The row's part that a recommended experiment adds."""
+    return {"experiment": {"expected": {"steps": 14.0}, "runs": runs, "after": {"verdict": "named", "causes": [*causes]}} | more}
+
+
+@pytest.mark.parametrize(
+    ("causes", "expected"),
+    [
+        ([named(COULOMB)], Resolution.RESOLVED),
+        ([named(COULOMB, ties={OFFSET: 0.01})], Resolution.TIED),
+        ([named(OFFSET, ties={COULOMB: 0.4})], Resolution.TIED),
+        ([named(COULOMB, ties={LAG: 0.01})], Resolution.TIED),  # another rival than before is one
+        ([named(OFFSET)], Resolution.LOST),
+        ([named(COULOMB), named(DELAY)], Resolution.LOST),
+        ([named(COULOMB, ties={OFFSET: 0.1}), named(DELAY)], Resolution.LOST),
+        ([], Resolution.LOST),
+    ],
+)
+@pytest.mark.parametrize("before", [TIED, [named(OFFSET, ties={COULOMB: 0.3})]])
+def test_a_tie_is_resolved_where_the_true_name_stands_alone_after_the_experiment(before, causes, expected):
+    assert resolution(row(hid(COULOMB), causes=before) | after(*causes)) is expected
+
+
+def test_an_experiment_counts_only_where_a_tie_held_what_was_hidden():
+    alone = after(named(COULOMB))
+    assert resolution(row(hid(COULOMB), causes=[named(COULOMB)]) | alone) is None
+    assert resolution(row(hid(COULOMB), causes=[named(OFFSET, ties={DELAY: 0.3})]) | alone) is None
+    wide = [named(OFFSET, ties={COULOMB: 0.1, DELAY: 0.1, LAG: 0.1})]
+    assert resolution(row(hid(COULOMB), causes=wide) | alone) is None
+    assert resolution(row(hid(COULOMB), causes=TIED)) is None  # nothing was to choose from
+    assert resolution(row(causes=TIED) | alone) is None
+    failed = {k: v for k, v in row(hid(COULOMB)).items() if k in ("seed", "machine", "kind", "truth")} | {"error": "boom"}
+    assert resolution(failed) is None
+
+
+def test_what_no_experiment_decides_and_what_could_not_be_run_are_told_apart():
+    start = row(hid(COULOMB), causes=TIED)
+    assert resolution(start | {"experiment": {"expected": {"steps": 0.1}, "runs": 0}}) is Resolution.UNDECIDABLE
+    fault = {"experiment": {"expected": {"steps": 30.0}, "runs": 1, "fault": "the axis ran away"}}
+    assert resolution(start | fault) is Resolution.FAILED
+    assert "could not be run" in said(start | fault)
+
+
+def test_of_two_effects_that_were_tied_both_must_stand_alone():
+    pair = row(hid(COULOMB), hid(LAG), causes=[*TIED, named(LAG, ties={DELAY: 0.5})])
+    assert tied(pair) == {COULOMB, LAG}
+    assert resolution(pair | after(named(COULOMB), named(LAG))) is Resolution.RESOLVED
+    assert resolution(pair | after(named(COULOMB), named(LAG, ties={DELAY: 0.5}))) is Resolution.TIED
+    assert resolution(pair | after(named(COULOMB))) is Resolution.LOST
+    one = row(hid(COULOMB), hid(LAG), causes=[*TIED, named(LAG)])  # what was never tied need not be found again
+    assert tied(one) == {COULOMB}
+    assert resolution(one | after(named(COULOMB))) is Resolution.RESOLVED
+
+
+def test_the_share_of_resolved_ties_is_of_those_for_which_an_experiment_was_recommended():
+    start = row(hid(COULOMB), causes=TIED)
+    none = {"experiment": {"expected": {}, "runs": 0}}
+    failed = {"experiment": {"expected": {}, "runs": 1, "fault": "slack"}}
+    rows = [start | after(named(COULOMB)), start | after(named(COULOMB)), start | after(*TIED), start | none, start | failed]
+    s = summary([*rows, start, row(hid(COULOMB)), {**start, "undrawn": "no"} | after()])
+    assert (s.resolved.hits, s.resolved.of) == (2, 4)
+    assert (s.undecidable.hits, s.undecidable.of) == (1, 5)
+    assert s.ties == {
+        "the true name alone": 2, "still tied": 1, "the experiment could not be run": 1, "no experiment can": 1,
+    }  # fmt: skip
+    np.testing.assert_allclose(s.resolved.interval, [beta.ppf(0.025, 2, 3), beta.ppf(0.975, 3, 2)], rtol=1e-9)
+    assert summary(MIXED).resolved.of == 0
 
 
 # ---- many rows --------------------------------------------------------------------------------------------------------------
@@ -187,6 +279,84 @@ def test_seconds_are_told_by_machine_and_kind():
     assert nothing.p90 == pytest.approx(10.0)
 
 
+# ---- detection limits ---------------------------------------------------------------------------------------------------------
+
+ROBOT_MACHINE = "welding-robot"
+
+
+@pytest.fixture
+def losses(monkeypatch):
+    """Records that hold the size that is hidden in them, and a plant that loses 25 (size/limit)^2; beyond `breaks` it breaks."""
+    case = hidden_effects.generator()
+    state = {"limit": 0.02, "breaks": np.inf, "tried": [], "stated": ()}
+
+    def made(seed, machine, truth=()):
+        size = truth[0].size if truth else 0.0
+        state["tried"] += [size] if truth else []
+        if size > state["breaks"]:
+            raise InputError("the robot ran away")
+        inputs = {"u": np.full(60, 2.0) * np.where(np.arange(60) % 2, 1.0, -1.0)}
+        return Dataset((Experiment.from_arrays("made", 0.02, inputs=inputs, outputs={"v": np.full(60, size)}, units={}),))
+
+    class Diagnosed:
+        limits = property(lambda self: state["stated"])
+
+    monkeypatch.setattr(case, "records", made)
+    monkeypatch.setattr(case.MACHINES[ROBOT_MACHINE], "FOREIGN", ("cubic-drag",))
+    monkeypatch.setattr(hidden_effects, "diagnose", lambda plant, data: Diagnosed())
+    monkeypatch.setattr(
+        hidden_effects, "_deviance", lambda machine, data: 7.0 + 25.0 * (data.experiments[0]["v"][0] / state["limit"]) ** 2
+    )
+    state["trial"] = case.MACHINES[ROBOT_MACHINE].TRIAL
+    return state
+
+
+@pytest.mark.parametrize("far", [1e-3, 0.3, 1.0, 4.0, 30.0, 1e4])
+def test_the_limit_of_foreign_physics_is_the_size_that_loses_25_however_far_off_the_first_trial_is(losses, far, monkeypatch):
+    monkeypatch.setitem(losses["trial"], "cubic-drag", far * losses["limit"])
+    found = hidden_effects.limits_of(ROBOT_MACHINE)
+    assert found == {"cubic-drag@outside": pytest.approx(losses["limit"])}
+    assert len(losses["tried"]) <= hidden_effects.TRIALS
+    # read where the loss is clear and not yet far beyond: neither noise nor what bends decides
+    assert 4.0 <= (losses["tried"][-1] / losses["limit"]) ** 2 <= 64.0
+
+
+def test_a_machine_that_breaks_is_tried_with_less_and_what_it_cannot_show_has_no_limit(losses, monkeypatch):
+    monkeypatch.setitem(losses["trial"], "cubic-drag", 40.0 * losses["limit"])
+    losses["breaks"] = 6.0 * losses["limit"]
+    assert hidden_effects.limits_of(ROBOT_MACHINE)["cubic-drag@outside"] == pytest.approx(losses["limit"])
+    losses["breaks"] = 0.0
+    assert hidden_effects.limits_of(ROBOT_MACHINE) == {}
+
+
+def test_the_limit_of_a_saturation_is_how_far_it_lies_below_the_largest_command(losses):
+    losses["stated"] = (Limit("saturation", "u", 1.7, "N"), Limit("offset", "u", 0.1, "N"))
+    found = hidden_effects.limits_of(ROBOT_MACHINE)
+    assert (found["saturation@u"], found["offset@u"]) == (pytest.approx(0.3), 0.1)
+    losses["stated"] = (Limit("saturation", "u", 2.1, "N"),)  # a clip above every command shows nothing
+    assert "saturation@u" not in hidden_effects.limits_of(ROBOT_MACHINE)
+
+
+def test_an_effect_of_three_limits_is_worth_nine_times_25_to_a_fit(monkeypatch):
+    """The limit is read from signatures where nothing is hidden; here it is, and fitted at the noise levels of those records."""
+    case, plant = hidden_effects.generator(), POSITIONING_AXIS
+    monkeypatch.setattr(case.MACHINES["positioning-axis"], "FOREIGN", ())
+    limits = hidden_effects.limits_of("positioning-axis", seed=77, records=1)
+    quiet = recalibrated(predictor(plant, Dataset(case.records(77, "positioning-axis").experiments[:1])))
+    worth = {}
+    for key in ("offset@F", "coulomb@slide"):
+        truth = (Hidden(*key.split("@"), {"level": 3.0 * limits[key]}, 3.0),)
+        made = predictor(plant, Dataset(case.records(77, "positioning-axis", truth).experiments[:1]))
+        made = made.regained(replace(made.point, p=quiet.fit.point.p), quiet.predictor.noise)
+        own, beside = unknowns(made), unknowns(made, (term(plant, key),))
+        sizes = np.zeros(len(plant.slots))
+        sizes[list(beside.terms[0].sizes)] = 0.01 * limits[key]
+        base = gauss_newton(made, own, own.zero(), sizes, rounds=6)
+        worth[key] = base.cost - gauss_newton(made, beside, np.append(base.z, 3.0 * limits[key]), sizes, rounds=6).cost
+    # 2 log L of an effect of 15 standard deviations: 225 with a spread of 30
+    assert all(225.0 - 90.0 < value < 225.0 + 90.0 for value in worth.values()), worth
+
+
 # ---- the table of cases -------------------------------------------------------------------------------------------------------
 
 
@@ -240,6 +410,9 @@ def test_cases_of_other_limits_are_not_mixed(tmp_path, quick_cases):
 def test_the_configuration_tells_limits_and_versions_apart(monkeypatch):
     before = configured({"m": {"offset@u": 0.1}})
     assert configured({"m": {"offset@u": 0.1}}) == before != configured({"m": {"offset@u": 0.2}})
+    with monkeypatch.context() as other:  # rows that know nothing of experiments are not counted with rows that do
+        other.setattr(hidden_effects, "LAYOUT", hidden_effects.LAYOUT - 1)
+        assert configured({"m": {"offset@u": 0.1}}) != before
     monkeypatch.setattr(hidden_effects, "versions", lambda: {"gain-scheduling-workbench": "another"})
     assert configured({"m": {"offset@u": 0.1}}) != before
 
@@ -256,6 +429,30 @@ def test_a_case_holds_what_was_hidden_what_was_said_and_the_limits_of_its_own_re
     assert 0.0 < drawn["own_limits"]["offset@F"] < 5.0
     assert isinstance(outcome(drawn), Outcome)
     assert drawn["seconds"] > 0.0
+
+
+def test_a_tie_of_two_frictions_of_the_robot_is_resolved_by_the_experiment_that_is_recommended():
+    """Friction in one direction, twice its limit: three records cannot tell it from friction in both; more of the plan can."""
+    case = hidden_effects.generator()
+    seed, limits = 12_001_028, {"asymmetric-friction@rail": 0.00639}
+    assert case.lot_of(seed).machine == "welding-robot"
+    drawn = run_case(seed, {"welding-robot": limits}, "c")
+    assert tied(drawn) == {"asymmetric-friction@rail"}
+    assert drawn["experiment"]["runs"] >= 1
+    assert resolution(json.loads(json.dumps(drawn))) is Resolution.RESOLVED
+    (before,), (after,) = drawn["causes"], drawn["experiment"]["after"]["causes"]
+    assert after["delta_bic"] > before["delta_bic"]
+
+
+def test_where_no_experiment_decides_none_is_run(monkeypatch):
+    """A constant force on the rail and one at the motor are the same: whatever moves the robot, it cannot tell them apart."""
+    case = hidden_effects.generator()
+    wanted = ("welding-robot", case.Kind.SINGLE)
+    seed = next(s for s in range(10**4) if (lot := case.lot_of(s)) and (lot.machine, lot.kind) == wanted)
+    monkeypatch.setattr(case, "further", None)
+    drawn = run_case(seed, {"welding-robot": {"rail-tilt@rail": 0.02}}, "c")
+    assert resolution(drawn) is Resolution.UNDECIDABLE
+    assert max(drawn["experiment"]["expected"].values()) < 1.0
 
 
 # ---- command and page ---------------------------------------------------------------------------------------------------------
@@ -277,6 +474,16 @@ def test_the_command_runs_the_seeds_asked_for_and_writes_page_and_numbers(tmp_pa
 def test_cases_are_an_option_of_this_study_alone(tmp_path, capsys):
     assert command(["study", "emps", "--cases", "3", "--out", str(tmp_path)]) == 2
     assert "--cases" in capsys.readouterr().err
+
+
+def test_the_page_shows_what_became_of_ties_and_lists_those_that_were_not_resolved():
+    start = row(hid(COULOMB), causes=TIED)
+    rows = [start | after(named(COULOMB)), start | after(named(OFFSET)), start | {"experiment": {"expected": {}, "runs": 0}}]
+    report = hidden_effects._report(rows, by_machine(rows), {})
+    table, text = next(s for s in report.sections if s.title == "Ties").blocks
+    assert [(r[0], r[1]) for r in table.rows] == [(r.value, n) for r, n in zip(Resolution, (1, 0, 1, 0, 1), strict=True)]
+    assert f"named: {OFFSET}" in text.text
+    assert f"named: {COULOMB} ~" in text.text
 
 
 def test_data_are_refused(tmp_path):

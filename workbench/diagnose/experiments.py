@@ -1,90 +1,270 @@
-"""The experiment that would decide between two causes: T-optimality with the signatures of both.
+"""The experiment that would decide between two causes, from what the two fitted models predict of it [1].
 
-    lambda = |(I - P) c_i|^2,   c_i = e(eta_i) - e(0) along a simulated run, P projects on c_j and on what parameters can mimic
+    lambda = min_x  sum_runs |V^-1/2 (d + J x)|^2 + x' C^-1 x,    d = e_rival - e_cause along a run of the model with the cause
 
-lambda is the expected gain in twice the log-likelihood of the true cause over its rival, whose size is free. Below 10 an
-experiment decides nothing.
+e are whitened one-step errors, J what the rival's parameters and sizes x do to them, C the covariance that the records already
+made leave to x, V = I + what the unknown start of a run adds. lambda is the expected gain in twice the log-likelihood of the
+cause over its rival, both fitted to old and new records together; its variance is 4 lambda. The two are also taken the other way
+round, for it may be the rival that is true. A tie is resolved where the gap in BIC, from what it is now, gets beyond ENOUGH:
+
+    P = Phi((lambda + gap - ENOUGH) / (2 sqrt(lambda))),    weighted with the odds of the two
+
+A rival with a shape (a speed at which it fades, a date) may mimic a cause from far off where it was fitted: before a template is
+recommended, lambda is taken over other shapes too, each with what it costs in the records already made.
+
+[1] G. E. P. Box, W. J. Hill, "Discrimination among mechanistic models", Technometrics 9(1), 1967.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import ndtr
 
-from workbench.data import Dataset
+from workbench.data import Dataset, Experiment
 from workbench.diagnose.answer import NextExperiment
-from workbench.diagnose.fit import Fit, jacobian
-from workbench.diagnose.predictor import predictor
-from workbench.diagnose.recalibrate import unknowns
+from workbench.diagnose.fit import Unknowns, gauss_newton, jacobian
+from workbench.diagnose.predictor import Point, predictor
 from workbench.diagnose.refit import Model
 from workbench.errors import InputError
 from workbench.physics.controller import Controller
-from workbench.physics.plant import EffectSizes
-from workbench.records import record
+from workbench.physics.plant import EffectSizes, Plant
+from workbench.records import field, record
 from workbench.simulate import Scenario, simulate
 
-ENOUGH = 10.0
+ENOUGH = 10.0  # gap in BIC from which rivals are no tie
+SURE = 0.9  # probability of that from which an experiment is recommended
+MOST = 8  # runs of one template
+TRIED = 3  # templates that are looked at with other shapes
+FACTORS = (0.05, 0.3, 3.0, 20.0)  # of a shape, where it is held otherwise
+RAN_AWAY = 1e6  # whitened error of a model that does not follow the run at all
+STEP = 0.1  # of a size's standard deviation, for differences
+ANY_PHASE = 10.0  # standard deviations, in amplitudes, of an effect whose phase a new record does not know
 
 
 @record
 class Template:
-    """An experiment that the machine could run: a loop and the set-points or inputs it follows, by name (N,)."""
+    """An experiment that the machine could run: a loop and the set-points or inputs it follows, by name (N,).
+
+    record: a run of it that was measured, along which it is judged; where there is none it is simulated under the controller.
+    """
 
     name: str
-    controller: Controller
+    controller: Controller | None
     references: Mapping[str, np.ndarray]
+    record: Experiment | None = None
+
+    def __len__(self) -> int:
+        return len(next(iter(self.references.values())))
+
+    def run(self, model: Model) -> Experiment:
+        """A record of it, if the model is true. Raises InputError for one that the plant cannot make."""
+        if self.record is not None or self.controller is None:
+            if self.record is None:
+                raise InputError("an experiment without a controller", file=self.name, mend="give a record of it")
+            return self.record
+        plant = model.predictor.plant
+        parameters = {q.name: float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)}
+        scenario = Scenario(self.name, self.references, seed=0)
+        return simulate(plant, self.controller, scenario, parameters=parameters, effects=_sizes(model)).experiment
+
+
+def again(plant: Plant, made: Experiment) -> Template:
+    """A measured record made once more, under the loop that it was made in: nobody needs to know that loop.
+
+    It follows the record's set-points, and the inputs that no loop commands; without set-points, its inputs.
+    """
+    set_points = [c.name for c in made.channels if c.role == "reference"]
+    inputs = [name for name in plant.input_names if name in made.names]
+    free = [name for name in inputs if name not in plant.commanded] if set_points else inputs
+    return Template(f"{made.name} once more", None, {name: made[name] for name in (*set_points, *free)}, made)
+
+
+@record
+class Recommended(NextExperiment):
+    """runs: how often the signals are to be played, each time as a record of its own."""
+
+    runs: int = 1
+
+
+@record
+class Foreseen:
+    """What a run tells two models apart by, the one true and the other its rival: a Gaussian problem without the run's start.
+
+    whole: d' V^-1 d; pull (n): R' J' V^-1 d; info (n, n): R' J' V^-1 J R, with C = R R'.
+    """
+
+    whole: float
+    pull: np.ndarray = field("n")
+    info: np.ndarray = field("n n")
+
+    def gain(self, runs: int) -> float:
+        """lambda of the module for so many runs."""
+        left = np.linalg.solve(np.eye(len(self.pull)) + runs * self.info, self.pull)
+        return max(runs * self.whole - runs**2 * float(self.pull @ left), 0.0)
+
+
+@record
+class Mimicry:
+    """What a run tells a true model from its rival by, in whatever way the rival may mimic it.
+
+    excess (m): what each way costs the rival in the records already made, in twice the log-likelihood.
+    """
+
+    ways: tuple[Foreseen, ...]
+    excess: np.ndarray = field("m")
+
+    def gain(self, runs: int) -> float:
+        """lambda of the module for so many runs, of the best way."""
+        return min(way.gain(runs) + float(more) for way, more in zip(self.ways, self.excess, strict=True))
 
 
 def deciding(
     model: Model, rival: Model, names: tuple[str, str], templates: Sequence[Template], separates: str
-) -> NextExperiment | None:
-    """The template that tells the cause in `model` from that in `rival`; where none does, what else could (`separates`)."""
-    expected, best = {}, None
+) -> Recommended | None:
+    """The template, and how many runs of it, that tell the cause in `model` from that in `rival` in the shortest time.
+
+    Where none is SURE to, what else could (`separates`). None without a template that the plant can run. `expected` is lambda of
+    one run, if the cause is true or if the rival is, whichever is less.
+    """
+    gap, expected, promising = rival.bic - model.bic, {}, []
     for template in templates:
         try:
-            expected[template.name] = _expected(model, rival, template)
+            forth, back = mimicry(model, [rival], template), mimicry(rival, [model], template)
         except InputError:
             continue  # a run that the plant cannot make with these parameters
-        if best is None or expected[template.name] > expected[best.name]:
-            best = template
-    if best is None:
+        expected[template.name] = min(forth.gain(1), back.gain(1))
+        if runs := _runs(gap, forth, back):
+            promising.append((runs * len(template), template))
+    if not expected:
         return None
-    own, other = names
-    if expected[best.name] < ENOUGH:
-        return NextExperiment(
-            f"no experiment of the plan tells {own} from {other}. {separates}", {}, model.predictor.plant.dt, expected
-        )
-    sentence = (
-        f"{own} and {other} explain these records alike; one run of {best.name!r} would decide "
-        f"(expected evidence {expected[best.name]:.0f}, 10 is enough)"
-    )
-    return NextExperiment(sentence, dict(best.references), model.predictor.plant.dt, expected)
+    (own, other), dt = names, model.predictor.plant.dt
+    both = [otherwise(m, key) for m, key in ((model, own), (rival, other))] if promising else []
+    for _, template in sorted(promising, key=lambda pair: pair[0])[:TRIED]:
+        forth, back = mimicry(model, both[1], template), mimicry(rival, both[0], template)
+        if runs := _runs(gap, forth, back):
+            sentence = (
+                f"{own} and {other} explain these records alike; {'one run' if runs == 1 else f'{runs} runs'} of "
+                f"{template.name!r} would decide (expected evidence {min(forth.gain(runs), back.gain(runs)):.0f}, "
+                f"{ENOUGH:.0f} is enough)"
+            )
+            return Recommended(sentence, dict(template.references), dt, expected, runs)
+    return Recommended(f"no experiment of the plan tells {own} from {other}. {separates}", {}, dt, expected)
 
 
-def _expected(model: Model, rival: Model, template: Template) -> float:
-    plant, point = model.predictor.plant, model.fit.point
-    parameters = {q.name: float(v) for q, v in zip(plant.parameters, point.p, strict=True)}
-    scenario = Scenario(template.name, template.references, seed=0)
-    run = simulate(plant, template.controller, scenario, parameters=parameters, effects=_sizes(model)).experiment
-    measured = [
-        name for j, name in enumerate(plant.output_names) if any(np.isfinite(r.y[:, j]).any() for r in model.predictor.records)
-    ]
-    run = run.select([name for name in run.names if name in measured or name in plant.input_names])
-    made = predictor(plant, Dataset((run,)))
-    own = unknowns(made)
-    z = own.zero()
-    z[: own.split[0]] = model.fit.z[: own.split[0]]
-    made = made.regained(own.point(z), model.predictor.noise)
-    e, J = jacobian(made, own, z, np.zeros(len(plant.slots)))
-    fit = Fit(own, z, e, J)
-    eta = np.array([own.base, model.fit.point.eta[0], rival.fit.point.eta[0]])
-    at = own.point(z)
-    changes = made.errors(0, at.p[None], eta, at.start[:1])
-    c = (changes[1:] - changes[:1]).reshape(2, -1).T
-    JG = J[0].T @ c
-    projected = c - J[0] @ (fit.covariance @ JG)
-    a, b = projected.T
-    left = a - b * (a @ b) / max(float(b @ b), 1e-300)
-    return float(left @ left)
+def _runs(gap: float, forth: Mimicry, back: Mimicry) -> int | None:
+    """The fewest runs that are SURE to resolve a tie, None where MOST are not."""
+    return next((n for n in range(1, MOST + 1) if resolved(gap, forth.gain(n), back.gain(n)) >= SURE), None)
+
+
+def otherwise(model: Model, key: str) -> list[Model]:
+    """The model, and the model with each shape of its effect `key` held elsewhere and all else fitted again to its records."""
+    fit, old = model.fit, model.fit.unknowns
+    at, found, sizes = old.size - old.split[2], [model], _steps(model)
+    for i, t in enumerate(old.terms):
+        for j, slot in enumerate(t.free if t.key == key else ()):
+            place, p = at + len(t.sizes) + j, old.plant.slots[slot].parameter
+            for factor in FACTORS:
+                base = old.base.copy()
+                base[slot] = np.clip(base[slot] * np.exp(fit.z[place]) * factor, p.low, p.high)
+                terms = list(old.terms)
+                terms[i] = replace(t, free=tuple(s for s in t.free if s != slot))
+                held = replace(old, terms=tuple(terms), base=base)
+                made = gauss_newton(model.predictor, held, np.delete(fit.z, place), sizes, rounds=2, enough=0.5)
+                found.append(Model(model.predictor, made))
+        at += t.count(old.records)
+    return found
+
+
+def mimicry(true: Model, ways: Sequence[Model], template: Template) -> Mimicry:
+    """See Mimicry; ways: the rival as it was fitted, and otherwise. Raises InputError where no way follows the run."""
+    run, found, excess, fault = template.run(true), [], [], None
+    for way in ways:
+        try:
+            found.append(foreseen(true, way, run))
+            excess.append(max(way.deviance - ways[0].deviance, 0.0))
+        except InputError as reason:
+            fault = reason
+    if fault and not found:
+        raise fault
+    return Mimicry(tuple(found), np.array(excess))
+
+
+def resolved(gap: float, forth: float, back: float) -> float:
+    """Probability that a tie of this gap is none afterwards: lambda is `forth` if the cause is true, `back` if its rival is."""
+    odds = 1.0 / (1.0 + np.exp(-0.5 * np.clip(gap, -50.0, 50.0)))
+    sure = [ndtr((gain + side - ENOUGH) / (2.0 * np.sqrt(max(gain, 1e-12)))) for gain, side in ((forth, gap), (back, -gap))]
+    return float(odds * sure[0] + (1.0 - odds) * sure[1])
+
+
+def foreseen(true: Model, rival: Model, run: Experiment) -> Foreseen:
+    """What a run would show if `true` is what it is called. Raises InputError where the rival does not follow it at all."""
+    plant, at = true.predictor.plant, true.fit.point
+    made = predictor(plant, Dataset((run.select([name for name in run.names if name in _logged(true)]),)))
+    start, scale = (np.array([getattr(r, name) for r in made.records]) for name in ("start", "scale"))
+    made = made.regained(Point(at.p, at.eta[:1], start), true.predictor.noise)
+    open_ = _open(rival, start, scale)
+    other = open_.unknowns.point(open_.z)
+    e = made.errors(0, np.array([at.p, other.p]), np.array([at.eta[0], other.eta[0]]), start)
+    d = (e[1] - e[0]).ravel()
+    if not np.abs(d).max() < RAN_AWAY:
+        raise InputError(f"{', '.join(rival.keys)} does not follow the run", file=run.name)
+    _, (J,) = jacobian(made, open_.unknowns, open_.z, open_.steps)
+    own, shared = J @ open_.of_the_run, J @ open_.shared
+    inner = np.linalg.solve(np.eye(own.shape[1]) + own.T @ own, own.T @ np.column_stack([d, shared]))
+    both = np.column_stack([d, shared]) - own @ inner  # V^-1 times d and J R
+    return Foreseen(float(d @ both[:, 0]), shared.T @ both[:, 0], shared.T @ both[:, 1:])
+
+
+def _logged(model: Model) -> set[str]:
+    """Names of the inputs, and of the outputs that the records of a model hold."""
+    plant, records = model.predictor.plant, model.predictor.records
+    seen = [name for j, name in enumerate(plant.output_names) if any(np.isfinite(r.y[:, j]).any() for r in records)]
+    return {*plant.input_names, *seen}
+
+
+@record
+class _Open:
+    """What a model's records leave open for a further one: its unknowns z, roots of their covariance, steps of sizes (ne).
+
+    shared (n, s): of what all further runs have in common; of_the_run (n, r): of starts, and of what has a phase.
+    """
+
+    unknowns: Unknowns
+    z: np.ndarray = field("n")
+    shared: np.ndarray = field("n s")
+    of_the_run: np.ndarray = field("n r")
+    steps: np.ndarray = field("ne")
+
+
+def _open(model: Model, start: np.ndarray, scale: np.ndarray) -> _Open:
+    """start, scale (1, nx): where the further record begins and how far off that may be."""
+    fit, old = model.fit, model.fit.unknowns
+    n, nx, _ = old.split
+    places, phases, at = [*range(n)], [], n + old.records * nx
+    for t in old.terms:
+        if t.phase:
+            phases += range(len(places), len(places) + len(t.sizes))
+        places += range(at, at + t.count(1))
+        at += t.count(old.records)
+    new = replace(old, records=1, start=start, scale=scale)
+    z = np.insert(fit.z[places], n, np.zeros(nx))
+    value, vector = np.linalg.eigh(fit.covariance[np.ix_(places, places)])
+    shared = np.insert(vector * np.sqrt(np.maximum(value, 0.0)), n, np.zeros((nx, len(places))), axis=0)
+    known = np.eye(new.size)
+    at = [j + nx for j in phases]
+    of_the_run = np.hstack([known[:, n : n + nx], ANY_PHASE * np.linalg.norm(z[at]) * known[:, at]])
+    return _Open(new, z, shared, of_the_run, _steps(model))
+
+
+def _steps(model: Model) -> np.ndarray:
+    """Steps (ne) of the effects' sizes for differences."""
+    fit, unknowns = model.fit, model.fit.unknowns
+    steps, at = np.zeros(len(unknowns.plant.slots)), unknowns.size - unknowns.split[2]
+    for t in unknowns.terms:
+        steps[list(t.sizes)] = STEP * np.sqrt(np.diag(fit.covariance)[at : at + len(t.sizes)])
+        at += t.count(unknowns.records)
+    return steps
 
 
 def _sizes(model: Model) -> EffectSizes:

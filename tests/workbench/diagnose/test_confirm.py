@@ -9,7 +9,8 @@ from scipy.stats import kstest
 from tests.workbench.diagnose.cases import AXIS, axis_predictor, axis_records, fitted, refitted
 from workbench.data import Dataset
 from workbench.diagnose.confirm import ORDER, PIECES, LeftOut, folds, left_out, stability
-from workbench.diagnose.fit import gauss_newton
+from workbench.diagnose.fit import Fit, gauss_newton, term
+from workbench.diagnose.kalman import Pass
 from workbench.diagnose.recalibrate import unknowns
 from workbench.diagnose.refit import Model
 
@@ -183,3 +184,101 @@ def test_a_record_of_a_second_has_a_standard_error_too():
         held.append(left_out(linear(data), linear(data, OFFSET)))
     assert all(found.error > 0.0 for found in held)
     assert sum(found.holds for found in held) <= 2
+
+
+# ---- two outputs -----------------------------------------------------------------------------------------------------
+
+SAMPLES = 160
+PULL = np.array([0.3, 2.0])  # what a unit of the size does to either output, at most
+
+
+def two_outputs(seed, records, key=None, *, level=1.0, silent=False) -> Model:
+    """A model whose errors of two outputs are linear in starts and one size, from random numbers; no plant is run.
+
+    silent: the second output measures nothing, and what is left is a model of one output written as one of two.
+    """
+    random, levels = np.random.default_rng(seed), np.random.default_rng([seed, key is None])  # models have noise of their own
+    made = axis_predictor(axis_records(1, records=records, samples=SAMPLES))
+    own = unknowns(made, () if key is None else (term(AXIS, key),), names=())
+    slopes, errors, passes = [], [], []
+    for _ in range(records):
+        start, size = random.standard_normal((SAMPLES, 2, 2)) * 0.3, PULL * random.uniform(0.2, 1.0, (SAMPLES, 2))
+        spread = levels.uniform(0.5, 2.0, (SAMPLES, 2))
+        e = random.standard_normal((SAMPLES, 2)) - level * size
+        if silent:
+            start[:, 1], size[:, 1], e[:, 1], spread[:, 1] = 0.0, 0.0, 0.0, 1.0
+        slopes.append(np.concatenate([start, size[:, :, None]], axis=2)[:, :, : 2 + (key is not None)].reshape(2 * SAMPLES, -1))
+        errors.append(e)
+        passes.append(Pass(np.empty((SAMPLES, 0, 2)), np.einsum("ki,ij->kij", spread, np.eye(2)), 0.0))
+    return _at_its_minimum(Model(replace(made, passes=tuple(passes)), Fit(own, np.zeros(own.size), tuple(errors), tuple(slopes))))
+
+
+def _at_its_minimum(model: Model) -> Model:
+    fit, own = model.fit, model.fit.unknowns
+    z = -np.linalg.solve(fit.information, fit.gradient)
+    errors = [e + (J @ z[own.columns(i)]).reshape(e.shape) for i, (e, J) in enumerate(zip(fit.errors, fit.jacobian, strict=True))]
+    return Model(model.predictor, replace(fit, z=z, errors=tuple(errors)))
+
+
+def one_output(model: Model) -> Model:
+    """The same without the second output."""
+    fit = model.fit
+    passes = tuple(replace(p, gain=p.gain[:, :, :1], whitening=p.whitening[:, :1, :1]) for p in model.predictor.passes)
+    errors, J = tuple(e[:, :1] for e in fit.errors), tuple(J[::2] for J in fit.jacobian)
+    return Model(replace(model.predictor, passes=passes), replace(fit, errors=errors, jacobian=J))
+
+
+def foreseen(model: Model, left: np.ndarray) -> float:
+    """-2 log p of the rows that are left out (of all rows of all records) in the light of the others, by dense Gaussians."""
+    fit, own = model.fit, model.fit.unknowns
+    J, e = np.zeros((2 * SAMPLES * own.records, own.size)), np.concatenate([e.ravel() for e in fit.errors])
+    for i, slopes in enumerate(fit.jacobian):
+        J[np.ix_(np.arange(2 * SAMPLES) + 2 * SAMPLES * i, own.columns(i))] = slopes
+    at_zero = e - J @ fit.z  # of all unknowns
+    size = fit.z[2 * own.records :]
+    prior = np.diag(np.concatenate([np.ones(2 * own.records), (ORDER * np.linalg.norm(size)) ** 2 * np.ones(len(size))]))
+    S = np.eye(len(e)) + J @ prior @ J.T
+    W = np.concatenate([np.einsum("kii->ki", p.whitening).ravel() for p in model.predictor.passes])
+
+    def deviance(rows):
+        return (
+            float(at_zero[rows] @ np.linalg.solve(S[np.ix_(rows, rows)], at_zero[rows]))
+            + np.linalg.slogdet(S[np.ix_(rows, rows)])[1]
+        )
+
+    every = np.ones(len(e), dtype=bool)
+    return deviance(every) - deviance(~left) - 2.0 * float(np.log(W[left]).sum())
+
+
+@pytest.mark.parametrize("records", [1, 3])
+def test_of_two_outputs_every_sample_of_a_fold_is_left_out_and_no_other(records):
+    base, extended = (two_outputs(5, records, key, level=0.2) for key in (None, OFFSET))
+    exact = []
+    for fold in folds(extended):
+        left = np.zeros((records, SAMPLES, 2), dtype=bool)
+        left[fold.record, fold.first : fold.last] = True
+        exact.append(foreseen(base, left.ravel()) - foreseen(extended, left.ravel()))
+    np.testing.assert_allclose(left_out(base, extended).by_fold, exact, rtol=1e-6, atol=1e-6)
+    assert len(exact) == (PIECES if records == 1 else records)
+
+
+@pytest.mark.parametrize("records", [1, 2])
+def test_an_output_that_shows_nothing_changes_neither_what_is_left_out_nor_stability(records):
+    models = [two_outputs(8, records, key, level=0.3, silent=True) for key in (None, OFFSET)]
+    two, one = left_out(*models), left_out(*map(one_output, models))
+    np.testing.assert_allclose(two.by_fold, one.by_fold, rtol=1e-9)
+    assert two.error == pytest.approx(one.error, rel=1e-9)
+    p = stability(models[1], OFFSET), stability(one_output(models[1]), OFFSET)
+    assert p[0] == pytest.approx(p[1], rel=1e-9)
+    assert 1e-6 < p[0] < 1.0
+
+
+def test_a_size_that_only_the_second_output_shows_to_change_within_a_record_is_unstable():
+    same, changed = (two_outputs(11, 1, OFFSET, level=0.0, silent=False) for _ in range(2))
+    fit = changed.fit
+    jump = np.where(np.arange(SAMPLES) < SAMPLES // 4, 0.0, 1.5)  # the first of four pieces differs
+    e = fit.errors[0].copy()
+    e[:, 1] -= jump * fit.jacobian[0].reshape(SAMPLES, 2, 3)[:, 1, 2]
+    zero = replace(fit, z=np.zeros_like(fit.z), errors=(e - (fit.jacobian[0] @ fit.z).reshape(e.shape),))
+    assert stability(same, OFFSET) > 0.01
+    assert stability(_at_its_minimum(Model(changed.predictor, zero)), OFFSET) < 1e-3

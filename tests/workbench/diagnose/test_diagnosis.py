@@ -9,6 +9,7 @@ from plants import WEB_WINDING
 from studies.experiments import EXPERIMENTS
 from tests.workbench.diagnose.cases import AXIS, ROBOT, axis_records, robot_records
 from workbench.data import Dataset
+from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import diagnose
 from workbench.simulate import simulate
@@ -94,6 +95,26 @@ def test_what_cannot_be_told_apart_is_said_to_tie():
     assert {cause.key, *cause.ties} >= {"rail-tilt@rail", "offset@u"}
     assert cause.evidence.posterior < 0.7
     assert cause.evidence.posterior + sum(cause.ties.values()) == pytest.approx(1.0)
+
+
+def test_of_two_effects_a_rival_that_came_first_gives_way_to_the_true_cause_and_both_have_their_size(monkeypatch):
+    """Beside a command that is clipped and not yet named, a late sensor looks like a late command and some play."""
+    greedy, path = [], diagnosis._Search.path
+    monkeypatch.setattr(diagnosis._Search, "path", lambda search, base: greedy.append(path(search, base)) or greedy[-1])
+    effects = {"saturation@F": {"limit": 350.0}, "sensor-lag@q": {"time": 0.03}}
+    found = diagnose(AXIS, axis_records(3, effects))
+    keys = [step.key for step in greedy[0]]
+    assert keys[0] == "input-delay@F"  # without a swap the lag would not be found
+    assert "sensor-lag@q" not in keys
+    assert found.finding is Finding.NAMED
+    assert {cause.key for cause in found.causes} == set(effects)
+    for cause in found.causes:
+        ((name, size),) = effects[cause.key].items()
+        estimate = cause.parameters[name]
+        assert estimate.value == pytest.approx(size, rel=0.05)
+        assert abs(estimate.value - size) < estimate.high - estimate.low  # four standard deviations
+        assert found.effects[cause.key][name] == pytest.approx(estimate.value)
+        assert cause.ties == {}
 
 
 @pytest.mark.parametrize("seed", range(12))
