@@ -23,7 +23,10 @@ from workbench.physics.effects import effects_of
 from workbench.physics.effects.actuator import Actuator, Driven
 from workbench.physics.effects.effect import FOREVER, Effect, EffectParameter, Named
 from workbench.physics.effects.sensor import Sensor
+from workbench.readers import UNITS
 from workbench.records import field, record
+
+OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than its machine has its time in another unit
 
 
 @record
@@ -157,11 +160,24 @@ class Plant:
         return self.input_names if self.discrete else self.commanded
 
     def sampled(self, dt: float, *, file: object = None) -> "Plant":
-        """The same plant sampled every dt seconds; a discrete one knows nothing between its samples and refuses."""
+        """The same plant sampled every dt seconds.
+
+        Raises InputError where dt is so far from the plant's own that time must be in another unit, and for every other dt than
+        its own of a discrete plant, which knows nothing between its samples.
+        """
         if abs(dt - self.dt) <= SAME_DT * self.dt:
             return self
         if self.discrete:
             raise InputError(f"sampled every {dt:g} s, {self.name} every {self.dt:g} s", file=file, mend="resample the record")
+        if max(dt / self.dt, self.dt / dt) > OTHER_TIME:
+            times = {name: unit.factor for name, unit in UNITS.items() if unit.quantity == "time"}
+            unit = min(times, key=lambda name: abs(np.log(dt * times[name] / self.dt)))
+            raise InputError(
+                f"sampled every {dt:g} s, {self.name} every {self.dt:g} s: is its time in {unit}?",
+                file=file,
+                channel="t",
+                mend=f"multiply the time column by {times[unit]:g} and write t [s] in the header",
+            )
         return replace(self, dt=dt, substeps=max(1, round(self.substeps * dt / self.dt)))
 
     @cached_property

@@ -219,6 +219,25 @@ def test_a_short_record_is_told_how_long_it_should_be(winding):
     assert "at least 230 samples (9.2 s)" in reason.mend
 
 
+@pytest.mark.parametrize(("factor", "unit", "mend"), [(1e3, "ms", "0.001"), (1e6, "us", "1e-06"), (1 / 3600, "h", "3600")])
+@pytest.mark.parametrize("plant", [ROBOT, AXIS], ids=["robot", "axis"])
+def test_time_in_another_unit_under_the_header_of_seconds_is_refused_before_anything_runs(plant, factor, unit, mend, monkeypatch):
+    e = drawn(plant, "prbs")
+    monkeypatch.setattr("workbench.diagnose.check.simulate_batch", None)  # a sample of 20 s takes 1000 times as many steps
+    reason = refused(plant, replace(e, t=e.t * factor, dt=e.dt * factor))
+    assert (reason.file, reason.channel) == (e.name, "t")
+    assert f"is its time in {unit}?" in reason.problem
+    assert f"multiply the time column by {mend} " in reason.mend
+
+
+def test_a_slow_or_fast_logger_is_no_other_unit_of_time():
+    e = drawn(ROBOT, "prbs")
+    for every in (e.dt / 10, 5 * e.dt):
+        t = np.arange(e.t[0], e.t[-1], every)
+        values = np.column_stack([np.interp(t, e.t, column) for column in e.values.T])
+        check(ROBOT, Dataset((replace(e, t=t, values=values, dt=every),)))
+
+
 def test_inputs_at_rest_are_no_experiment(winding):
     t = np.arange(400) * WINDING.dt
     quiet = scaled(scaled(winding, "V1", 0.0), "V2", 0.0)
