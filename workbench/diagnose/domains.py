@@ -125,7 +125,7 @@ def _unit(scene: _Scene, added: np.ndarray, j: int) -> tuple[Channel, float]:
     plant, effect, course = scene.predictor.plant, scene.effect, scene.course
     state = plant.states[j]
     if effect.family != "shaft" or effect.domain is Domain.LOAD or not np.any(added):
-        return Channel(f"missing rate of {state.name}", f"{state.unit}/s"), 1.0
+        return Channel(f"missing rate of {state.name}", _per_second(state.unit)), 1.0
     port = next(q for q in plant.ports if (q.family, q.place) == (effect.family, scene.place))
     own = [(slot.parameter, value) for slot, value in zip(plant.slots, scene.eta, strict=True) if slot.key == _key(scene)]
     speed, turned = course.x[:, plant.state_names.index(port.speed)], course.angle[:, list(plant.turning).index(scene.place)]
@@ -134,6 +134,11 @@ def _unit(scene: _Scene, added: np.ndarray, j: int) -> tuple[Channel, float]:
     unit = "N m" if any("N m" in q.unit for q, _ in own) else "N"
     name = f"missing {'torque' if unit == 'N m' else 'force'} at {scene.place}"
     return Channel(name, unit), float(np.dot(torque, added) / np.dot(added, added))
+
+
+def _per_second(unit: str) -> str:
+    """m/s^2 for m/s, m/s for m."""
+    return f"{unit}^2" if unit.endswith("/s") else f"{unit or '1'}/s"
 
 
 def _key(scene: _Scene) -> str:

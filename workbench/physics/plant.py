@@ -208,7 +208,10 @@ class Plant:
     @cached_property
     def offered(self) -> dict[tuple[str, str], tuple[Effect, ...]]:
         """(family, place) -> the effects that fit the port there, in the order in which they act."""
-        return {(q.family, q.place): tuple(filter(q.fits, effects_of(q.family))) for q in self.all_ports}
+        return {
+            (q.family, q.place): tuple(q.worded(effect) for effect in effects_of(q.family) if q.fits(effect))
+            for q in self.all_ports
+        }
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
