@@ -95,6 +95,8 @@ class Plant:
     discrete: the plant is known at its samples alone. Its equation is a difference per sample, (x+ - x) / dt, taken at a sample
     and held to the next; its outputs see the inputs of their own sample, measure(x, p, u), and it needs all of them. A dead time
     that is no whole number of samples mixes two samples of the command.
+
+    meaning: what channels and places are, in words, {"v1": "speed of the platform"}.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Plant:
     effects: EffectSizes = field(default_factory=dict)
     process: Mapping[str, float] = field(default_factory=dict)
     discrete: bool = False
+    meaning: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
         for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
@@ -129,6 +132,11 @@ class Plant:
                 raise InputError(f"two speeds at {port.place!r}", file=self.name, mend="a place turns with one speed")
         for name in (*self.noise, *self.disturbance):
             check_known("channel", name, [c.name for c in (*self.inputs, *self.outputs)], file=self.name)
+        for name in self.meaning:
+            places = [port.place for port in self.ports]
+            check_known(
+                "channel or place", name, [*self.state_names, *self.input_names, *self.output_names, *places], file=self.name
+            )
         for name in (*self.limits, *self.process):
             check_known("state", name, self.state_names, file=self.name)
         for port in self.ports:
