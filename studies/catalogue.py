@@ -4,6 +4,7 @@ python -m studies.catalogue      writes both pages again
 """
 
 import inspect
+import re
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -25,13 +26,10 @@ def run(options: Namespace, say: Say) -> int:
     """Say what can be missing: at every place of a plant, or of all machines."""
     shown = {plant.name: list(entries(plant)) for plant in _asked(options.plant)}
     for name, own in shown.items():
-        symbols = ""
+        say(f"{name}:")
         for entry in own:
-            if entry["symbols"] != symbols:
-                symbols = entry["symbols"]
-                say(f"{name}; in the equations: {symbols}")
             say(f"  {entry['effect']}: {', '.join(entry['parameters'])}")
-            for line in (entry["sentence"], entry["equation"], f"told apart by: {entry['separates']}"):
+            for line in (entry["sentence"], entry["equation"], entry["symbols"], f"told apart by: {entry['separates']}"):
                 say(f"      {line}")
     if options.json:
         write_json(options.json, shown)
@@ -51,7 +49,7 @@ def entries(plant: Plant) -> Iterator[dict[str, Any]]:
                 "parameters": [_number(port.fitted(p)) for p in effect.parameters],
                 "sentence": effect.sentence.format(place=port.place),
                 "equation": equation(effect),
-                "symbols": port.symbols,
+                "symbols": symbols(port, effect),
                 "separates": effect.separates,
             }
 
@@ -59,6 +57,12 @@ def entries(plant: Plant) -> Iterator[dict[str, Any]]:
 def equation(effect: Effect) -> str:
     """The equation of an effect; of one with a phase also what its amplitude is, which a diagnosis states."""
     return f"{effect.equation}, amplitude = sqrt(cosine^2 + sine^2)" if effect.phase else effect.equation
+
+
+def symbols(port: Port, effect: Effect) -> str:
+    """What the symbols in the equation of an effect mean at its port, with their signs."""
+    words = set(re.findall(r"\w+", effect.equation))
+    return "; ".join(part for part in port.symbols.split("; ") if words & set(part.split(":")[0].split(", ")))
 
 
 def _number(p: EffectParameter) -> str:
