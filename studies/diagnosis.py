@@ -210,12 +210,13 @@ def _evidence_table(found: Diagnosis) -> Table:
 
 
 def _stage_table(errors: tuple[StageError, ...], held_out: bool) -> Table:
-    """Data sheet, recalibrated, extended: errors of every record, channel and horizon."""
-    header = ("record", "channel", "horizon", "data sheet", "recalibrated", "extended", "unit")
-    rows = tuple((e.record, e.channel, e.horizon, e.data_sheet, e.recalibrated, e.extended, e.unit) for e in errors)
+    """Data sheet, recalibrated, extended: full-run errors of every record and channel."""
+    header = ("record", "channel", "data sheet", "recalibrated", "extended", "unit")
+    rows = tuple((e.record, e.channel, e.data_sheet, e.recalibrated, e.extended, e.unit) for e in errors)
     caption = (
-        f"Root mean square on {_on(held_out)}. Data sheet: nominal parameters, no effects. Recalibrated: parameters fitted "
-        "without any effect. Extended: parameters and effects as found. A full run is driven by the logged inputs alone."
+        f"Full-run error, root mean square, on {_on(held_out)}. Data sheet: nominal parameters, no effects. "
+        "Recalibrated: parameters fitted without any effect. Extended: parameters and effects as found. A full run is driven by "
+        "the logged inputs alone."
     )
     return Table("From the data sheet to the extended plant", header, rows, caption=caption)
 

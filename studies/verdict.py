@@ -65,7 +65,7 @@ def _staged(errors: Sequence[StageError], held_out: bool) -> str:
     """The full-run error of the channel that gains most, as a mean over records, at each stage."""
     means = []
     for name in dict.fromkeys(e.channel for e in errors):
-        own = [e for e in errors if e.channel == name and e.horizon == "full-run"]
+        own = [e for e in errors if e.channel == name]
         levels = [float(np.mean([getattr(e, stage) for e in own])) for stage in ("data_sheet", "recalibrated", "extended")]
         if np.isfinite(levels[2]):
             means.append((name, own[0].unit, levels))

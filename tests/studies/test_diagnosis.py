@@ -167,12 +167,11 @@ def test_where_no_experiment_is_offered_the_reason_is_said():
 
 
 def test_errors_are_said_from_the_data_sheet_over_recalibration_to_the_extension():
-    def error(channel, record, *levels, horizon="full-run"):
-        return StageError(record, channel, "m/s", horizon, *levels)
+    def error(channel, record, *levels):
+        return StageError(record, channel, "m/s", *levels)
 
     errors = (
         error("a", "one", 0.4, 0.3, 0.2), error("v", "one", 0.31, 0.05, 0.003), error("v", "two", 0.29, 0.03, 0.005),
-        error("v", "two", 9.0, 9.0, 9.0, horizon="one-step"),
     )  # fmt: skip
     said = verdict(answer(), True, errors)
     assert (
@@ -229,8 +228,8 @@ def test_the_command_says_the_verdict_first_and_writes_all_it_promises(records, 
     assert "force = -level * tanh(v / width)" in page
     assert "force: positive in the direction of positive speed; v: speed)" in page
     assert "platform with electrode feed" in page
-    staged = {(e["record"], e["channel"], e["horizon"]): e for e in content["stages"]}
-    full = staged["prbs", "v", "full-run"]
+    staged = {(e["record"], e["channel"]): e for e in content["stages"]}
+    full = staged["prbs", "v"]
     assert full["extended"] < 0.2 * full["recalibrated"] < full["data_sheet"]
     (path,) = (tmp_path / "data").glob("*detection-limits.csv")
     assert [line.split(",")[:2] for line in path.read_text().splitlines()[1:]] == [["rail", "coulomb"], ["u", "offset"]]

@@ -18,12 +18,11 @@ from workbench.records import record
 
 @record
 class StageError:
-    """Root mean square error of a channel on a record at each stage; NaN where a run left its range."""
+    """Root mean square error of a channel's full run on a record at each stage; NaN where it left its range."""
 
     record: str
     channel: str
     unit: str
-    horizon: str  # one-step, full-run
     data_sheet: float
     recalibrated: float
     extended: float
@@ -46,8 +45,9 @@ def stages(plant: Plant, found: Diagnosis, own: Dataset, shown: Dataset) -> Stag
     before = trajectories(bare, shown) if any(p.value != q.value for p, q in _pairs(bare, plant)) else sheet
     after = trajectories(extension(plant, "", found.parameters, found.effects).of(plant), shown) if found.effects else before
     errors = tuple(
-        StageError(one.record, one.channel, one.unit, one.horizon, one.before, two.before, two.after)
+        StageError(one.record, one.channel, one.unit, one.before, two.before, two.after)
         for one, two in zip(gains(plant, sheet, before), gains(plant, before, after), strict=True)
+        if one.horizon == "full-run"
     )
     return Stages(sheet, before, after, errors)
 

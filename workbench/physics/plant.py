@@ -132,11 +132,6 @@ class Plant:
                 raise InputError(f"two speeds at {port.place!r}", file=self.name, mend="a place turns with one speed")
         for name in (*self.noise, *self.disturbance):
             check_known("channel", name, [c.name for c in (*self.inputs, *self.outputs)], file=self.name)
-        for name in self.meaning:
-            places = [port.place for port in self.ports]
-            check_known(
-                "channel or place", name, [*self.state_names, *self.input_names, *self.output_names, *places], file=self.name
-            )
         for name in (*self.limits, *self.process):
             check_known("state", name, self.state_names, file=self.name)
         for port in self.ports:
