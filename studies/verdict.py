@@ -17,6 +17,11 @@ HEADLINES = {
     Finding.INCOMPLETE: "INCOMPLETE: causes are named, and something is left that no further effect of the catalogue explains; "
     "use what is named, and look at what is left.",
 }
+#: The headline of what is named, where rivals explain it as well.
+TIED = (
+    "NAMED, with a tie: what the simulation of {plant} lacks has a size, and more than one name that these records cannot tell "
+    "apart; go on with the extended plant, and tell the causes apart before mending the machine."
+)
 #: What an all-clear is asked about first, in plain words.
 COMMON = {"coulomb": "dry friction", "offset": "an offset", "input-delay": "a dead time", "sensor-gain": "a wrong scale"}
 
@@ -28,7 +33,8 @@ def verdict(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = ())
 
 def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = ()) -> list[str]:
     """The verdict and what it means, what is missing, how large, how sure, what naming it gains, and what to do next."""
-    said = [HEADLINES[found.finding].format(plant=found.plant)]
+    tied = found.finding is Finding.NAMED and any(cause.ties for cause in found.causes)
+    said = [(TIED if tied else HEADLINES[found.finding]).format(plant=found.plant)]
     if found.finding is Finding.NOTHING:
         said.append(reach(found))
     else:

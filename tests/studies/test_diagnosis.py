@@ -137,6 +137,7 @@ def test_each_finding_has_its_words():
     assert verdict(two, True).startswith("NAMED: ")
     assert "something is left" not in verdict(two, True)
     assert "none was held out" in verdict(two, False)
+    assert verdict(replace(two, causes=answer().causes), True).startswith("NAMED, with a tie: ")
     assert set(HEADLINES) == set(Finding)
 
 
