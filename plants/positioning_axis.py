@@ -34,4 +34,10 @@ POSITIONING_AXIS = Plant(
     dt=0.001,
     ports=(Slide("slide", "v"),),
     substeps=2,
+    meaning={
+        "F": "force of the drive",
+        "q": "position of the slide",
+        "v": "speed of the slide",
+        "slide": "the slide on its guide",
+    },
 )

@@ -51,4 +51,12 @@ WELDING_ROBOT = Plant(
     # ours, [2] prints none: an encoder of 0.1 mm, differenced over a sample, errs by 0.1 mm sqrt(2/12)/20 ms = 2 mm/s. With no
     # noise at all an effect of any size could be named.
     noise={"v": 0.002},
+    meaning={
+        "u": "force of the drive on the platform",
+        "arm": "angle of the arm; it moves on its own",
+        "v": "speed of the platform",
+        "v1": "speed of the platform",
+        "v2": "speed of the arm assembly",
+        "rail": "the platform on its rail",
+    },
 )

@@ -1,7 +1,7 @@
 """The command `calibrate`: physical parameters from records, the plant file that holds them, and the page that shows them."""
 
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +174,7 @@ def _report(done: Calibration, found: Sequence[Gain], runs, records: Records, so
     sections = [
         Section("Parameters", (figures.parameters([estimate(p) for p in done.parameters]), _parameter_table(done))),
         Section("Errors before and after", (gain_table(found, records.held_out is not None),)),
-        Section("Measured and simulated", tuple(traces(done.plant, before, after, "calibrated"))),
+        Section("Measured and simulated", tuple(traces(done.plant, {"before": before, "calibrated": after}))),
         Section("Starts and noise", (_start_table(done), _noise_table(done))),
         Section("Provenance", (Provenance(source),)),
     ]
@@ -230,14 +230,15 @@ def gain_table(found: Sequence[Gain], held_out: bool) -> Table:
     return Table("Errors", ("record", "channel", "horizon", "before", "after", "unit"), rows, caption=caption)
 
 
-def traces(plant: Plant, before: Sequence[Trajectory], after: Sequence[Trajectory], name: str) -> list[Picture]:
-    """Measured against full runs before and after, a picture for each record and measured channel."""
+def traces(plant: Plant, runs: Mapping[str, Sequence[Trajectory]]) -> list[Picture]:
+    """Measured against full runs by name, a picture for each record and measured channel."""
     pictures = []
-    for old, new in zip(before, after, strict=True):
+    for own in zip(*runs.values(), strict=True):
         for i, channel in enumerate(plant.outputs):
-            if np.isfinite(old.measured[:, i]).all():
-                runs = {"before": old.simulated[:, i], name: new.simulated[:, i]}
-                pictures.append(figures.measured_and_simulated(old.record, old.t, Trace(channel, old.measured[:, i]), runs))
+            if np.isfinite(own[0].measured[:, i]).all():
+                measured = Trace(channel, own[0].measured[:, i])
+                simulated = {name: run.simulated[:, i] for name, run in zip(runs, own, strict=True)}
+                pictures.append(figures.measured_and_simulated(own[0].record, own[0].t, measured, simulated))
     return pictures
 
 

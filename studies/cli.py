@@ -129,6 +129,13 @@ def parser() -> argparse.ArgumentParser:
     )
     _plant_and_records(sub)
 
+    sub = command(
+        "effects",
+        "list the effects that a plant can lack: places, equations, units, and what tells them apart",
+        "examples:\n  workbench effects\n  workbench effects welding-robot",
+    )
+    sub.add_argument("plant", nargs="?", metavar="PLANT", help=f"{PLANT_HELP} (default: all machines)")
+
     command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
 
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")

@@ -23,7 +23,7 @@ def run(options: Namespace) -> int:
     check_file(options.json, "--json")
     commands = {
         "simulate": simulate, "identify": identify, "compare": compare, "calibrate": calibrate, "diagnose": diagnose,
-        "doctor": doctor, "study": study,
+        "effects": effects, "doctor": doctor, "study": study,
     }  # fmt: skip
     return commands[options.command](options)
 
@@ -361,7 +361,14 @@ def diagnose(options: Namespace) -> int:
     return diagnosis.run(options, say, progress)
 
 
-# ---- doctor and study -----------------------------------------------------------------------------------------------------
+# ---- effects, doctor and study --------------------------------------------------------------------------------------------
+
+
+def effects(options: Namespace) -> int:
+    """Say what can be missing, and how it acts."""
+    from studies.catalogue import run as said
+
+    return said(options, say)
 
 
 def doctor(options: Namespace) -> int:

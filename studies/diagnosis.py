@@ -1,7 +1,7 @@
 """The command `diagnose`: what a simulation gets wrong on records, in one sentence, in files, and on a page."""
 
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +9,14 @@ import numpy as np
 
 from studies.arguments import choose_plant, run_folder
 from studies.calibration import PLANT_FILE, Records, again, notes, read_records, traces, write_extension
+from studies.catalogue import equation, symbols
+from studies.verdict import ended, next_step, sentences, sizes
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.answer import Cause, Diagnosis, Finding, Gain, NextExperiment
+from workbench.diagnose.answer import Cause, Diagnosis, NextExperiment
 from workbench.diagnose.calibrate import trajectories
 from workbench.diagnose.domains import shown
 from workbench.diagnose.experiments import Template
+from workbench.diagnose.stages import StageError, Stages, stages
 from workbench.files import write_json
 from workbench.physics.extension import extension
 from workbench.physics.plant import Plant
@@ -39,7 +42,10 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     found = diagnose(
         chosen.plant, records.own, records.held_out, templates=_templates(options.plant, records.own.dt), progress=progress
     )
-    say(verdict(found, records.held_out is not None))
+    progress("simulating data sheet, recalibrated and extended plant")
+    shown_at = stages(chosen.plant, found, records.own, records.held_out or records.own)
+    for sentence in sentences(found, records.held_out is not None, shown_at.errors):
+        say(sentence)
     for sentence in dict.fromkeys([*heard, *(f"note: {note}" for note in found.notes)]):
         say(sentence)
     source = provenance({"plant": options.plant, "holdout": options.holdout}, [*records.files, *chosen.files])
@@ -52,9 +58,9 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
         (folder / EXPERIMENT_FILE).unlink(missing_ok=True)  # that of a former diagnosis decides nothing here
     for path in (folder / "diagnosis.json", options.json):
         if path:
-            write_json(path, to_json(found, folder, source))
+            write_json(path, to_json(found, folder, source) | {"stages": _finite([vars(e) for e in shown_at.errors])})
     progress("drawing")
-    report = page(chosen.plant, found, records, source)
+    report = page(chosen.plant, found, records, shown_at, source)
     say(f"extended plant, for --plant and simulate: {again(chosen, extended)}")
     say(f"report: {write_report(report, folder)}")
     return 0
@@ -69,67 +75,6 @@ def _templates(name: str, dt: float) -> tuple[Template, ...]:
         if not plan.effects and abs(plan.controller.dt - dt) < 1e-9 * dt:
             made.append(Template(experiment, plan.controller, plan.scenario(0).references))
     return tuple(made)
-
-
-# ---- the verdict -----------------------------------------------------------------------------------------------------------
-
-
-def verdict(found: Diagnosis, held_out: bool) -> str:
-    """What is missing, how large, how sure, what naming it gains, and what to do next; a few plain sentences."""
-    match found.finding:
-        case Finding.NOTHING:
-            said = [f"Nothing is missing from the simulation of {found.plant} that these records can show."]
-        case Finding.UNKNOWN:
-            said = ["Something is missing from the simulation, and no effect of the catalogue explains it."]
-        case _:
-            said = [_named(cause, held_out) for cause in found.causes]
-    if found.finding is Finding.INCOMPLETE:
-        said.append("Something is left that no further effect of the catalogue explains.")
-    if found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) and found.remainder:
-        said.append(_ended(found.remainder[0].sentence))
-    if found.next_experiment:
-        said.append(f"What to measure next: {_ended(found.next_experiment.sentence)}")
-    return " ".join(said)
-
-
-def _named(cause: Cause, held_out: bool) -> str:
-    """The cause with its size, its gain and its rivals."""
-    said = [_ended(cause.sentence), f"{cause.key}: {sizes(cause)}."]
-    if best := _best_gain(cause.gains):
-        where = "held-out records" if held_out else "these records (none was held out)"
-        change = f"from {best.before:.3g} to {best.after:.3g}{_unit(best.unit)}"
-        said.append(f"It takes the {best.horizon} error of {best.channel} on {where} {change}.")
-    if cause.ties:
-        rivals = ", ".join(f"{key} ({100 * weight:.0f} %)" for key, weight in cause.ties.items())
-        said.append(f"These records cannot tell it ({100 * cause.evidence.posterior:.0f} %) from {rivals}.")
-    return " ".join(said)
-
-
-def sizes(cause: Cause) -> str:
-    """The numbers of a cause with 95 % intervals and units."""
-    return ", ".join(
-        f"{name} {e.value:.4g}{_unit(e.unit)} (95 %: {e.low:.4g} to {e.high:.4g})" for name, e in cause.parameters.items()
-    )
-
-
-def _unit(unit: str) -> str:
-    return "" if unit in ("", "1") else f" {unit}"
-
-
-def _ended(sentence: str) -> str:
-    sentence = sentence.strip().rstrip(".")
-    return f"{sentence[:1].upper()}{sentence[1:]}."
-
-
-def _best_gain(gains: Sequence[Gain]) -> Gain | None:
-    """The channel and horizon that gain most, as a mean over records; a run that did not last counts for nothing."""
-    rows = []
-    for key in dict.fromkeys((g.channel, g.horizon) for g in gains):
-        own = [g for g in gains if (g.channel, g.horizon) == key]
-        before, after = (float(np.mean([getattr(g, side) for g in own])) for side in ("before", "after"))
-        if np.isfinite(before) and np.isfinite(after) and before > 0.0:
-            rows.append(Gain(*key, before, after, own[0].unit, own[0].record))
-    return min(rows, key=lambda g: g.after / g.before, default=None)
 
 
 # ---- files -------------------------------------------------------------------------------------------------------------------
@@ -189,34 +134,34 @@ def _signals(plant: Plant, todo: NextExperiment) -> dict[str, Trace]:
 # ---- the page ----------------------------------------------------------------------------------------------------------------
 
 
-def page(plant: Plant, found: Diagnosis, records: Records, source: dict[str, Any]) -> Report:
+def page(plant: Plant, found: Diagnosis, records: Records, at: Stages, source: dict[str, Any]) -> Report:
     """Verdict; causes in their domains; held-out runs; rivals; parameters; limits; what is left; what to measure next."""
     held = records.held_out or records.own
     nominal = extension(plant, "", found.parameters).of(plant)
-    extended = extension(plant, "", found.parameters, found.effects).of(plant)
-    before = trajectories(nominal, held)
-    after = trajectories(extended, held) if found.effects else before
-    runs = traces(plant, before, after, "extended" if found.effects else "recalibrated")
+    named = {"recalibrated": at.recalibrated, "extended": at.extended}
+    runs = traces(plant, named if found.effects else {"data sheet": at.data_sheet, "recalibrated": at.recalibrated})
     sections = [
         *([Section("What is missing", _cause_blocks(nominal, found, records.own, held))] if found.causes else []),
         Section(
-            "Held-out records" if records.held_out else "Records", (*_gain_tables(found, records.held_out is not None), *runs)
+            "Held-out records" if records.held_out else "Records",
+            (_stage_table(at.errors, records.held_out is not None), *_gain_tables(found, records.held_out is not None), *runs),
         ),
         *([Section("What is left", _left_blocks(plant, found))] if found.remainder else []),
         Section("Parameters", _parameter_blocks(plant, found)),
-        *([Section("What to measure next", _next_blocks(plant, found.next_experiment))] if found.next_experiment else []),
+        Section("What to measure next", _next_blocks(plant, found)),
         Section("What these records can show", _reach_blocks(found)),
         *([Section("Notes", notes(found.notes))] if found.notes else []),
         Section("Provenance", (Provenance(source),)),
     ]
-    return Report(f"Diagnosis of {found.plant}", verdict(found, records.held_out is not None), tuple(sections))
+    said = sentences(found, records.held_out is not None, at.errors)
+    return Report(f"Diagnosis of {found.plant}", "\n\n".join(said), tuple(sections))
 
 
 def _cause_blocks(nominal: Plant, found: Diagnosis, own: Dataset, held: Dataset) -> tuple[Block, ...]:
     """A sentence and a picture for each cause, then the evidence; nominal: the plant with recalibrated parameters."""
     blocks: list[Block] = []
     for cause in found.causes:
-        blocks.append(Text(f"{_ended(cause.sentence)} {cause.key}: {sizes(cause)}."))
+        blocks.append(Text(f"{ended(cause.sentence)} {cause.key}: {sizes(cause)}.\n\n{_equation(nominal, cause)}"))
         drawn = shown(nominal, found.effects, cause.key, own)
         if drawn is None:
             blocks.append(_shifted(nominal, found, cause, Dataset(held.experiments[:1])))
@@ -224,6 +169,14 @@ def _cause_blocks(nominal: Plant, found: Diagnosis, own: Dataset, held: Dataset)
             what = Trace(drawn.what, drawn.measured)
             blocks.append(figures.missing(cause.key, drawn.over, what, drawn.x, drawn.deviation, drawn.after))
     return (*blocks, _evidence_table(found))
+
+
+def _equation(plant: Plant, cause: Cause) -> str:
+    """The equation in which the sizes stand, and what its symbols and signs mean."""
+    effect = next(slot.effect for slot in plant.slots if slot.key == cause.key)
+    port = next(q for q in plant.all_ports if (q.family, q.place) == (effect.family, cause.place))
+    said = symbols(port, effect)
+    return f"{equation(effect)}{f'   ({said})' if said else ''}"
 
 
 def _shifted(nominal: Plant, found: Diagnosis, cause: Cause, one: Dataset) -> Picture:
@@ -236,31 +189,52 @@ def _shifted(nominal: Plant, found: Diagnosis, cause: Cause, one: Dataset) -> Pi
     y = old.measured[:, i]
     middle = int(np.argmax(np.abs(np.convolve(np.diff(y), np.ones(3), "same"))))
     at = slice(max(middle - WINDOW // 3, 0), middle + WINDOW)
-    runs = {"simulated before": old.simulated[at, i], "simulated after": new.simulated[at, i]}
+    runs = {"without the effect": old.simulated[at, i], "with the effect": new.simulated[at, i]}
     return figures.measured_and_simulated(f"{old.record}, {cause.key}", old.t[at], Trace(nominal.outputs[i], y[at]), runs)
 
 
 def _evidence_table(found: Diagnosis) -> Table:
-    """Every cause and its rivals, with odds."""
+    """Every cause and its rivals; odds only where something ties."""
     rows: list[tuple] = []
     for c in found.causes:
-        rows.append((c.key, "named", 100 * c.evidence.posterior, c.evidence.delta_bic, c.evidence.p_value, c.stability))
-        rows += [(key, f"rival of {c.key}", 100 * weight, None, None, None) for key, weight in c.ties.items()]
-    header = ("effect", "is", "odds [%]", "gain in BIC", "p-value", "p of one size in all records")
+        rows.append((c.key, "named", c.evidence.delta_bic, c.evidence.p_value, c.stability, 100 * c.evidence.posterior))
+        rows += [(key, f"rival of {c.key}", None, None, None, 100 * weight) for key, weight in c.ties.items()]
+    header = ("effect", "is", "gain in BIC", "p-value", "p of one size in all records", "odds [%]")
     caption = (
-        "Odds within a tie. Gain in BIC: by how much the records prefer the model with the effect; 10 is much. P-value: the "
-        "chance of such a gain where nothing is missing, over all effects tried. A small p of one size: records disagree on it."
+        "Gain in BIC: by how much the records prefer the model with the effect; 10 is much. P-value: the chance of such a gain "
+        "where nothing is missing, over all effects tried. A small p of one size: records disagree on it."
     )
-    return Table("Causes and rivals", header, tuple(rows), caption=caption, digits=3)
+    if any(c.ties for c in found.causes):
+        return Table("Causes and rivals", header, tuple(rows), caption=f"{caption} Odds: within a tie.", digits=3)
+    return Table("Causes", header[:-1], tuple(row[:-1] for row in rows), caption=f"{caption} Nothing ties.", digits=3)
+
+
+def _stage_table(errors: tuple[StageError, ...], held_out: bool) -> Table:
+    """Data sheet, recalibrated, extended: full-run errors of every record and channel."""
+    header = ("record", "channel", "data sheet", "recalibrated", "extended", "unit")
+    rows = tuple((e.record, e.channel, e.data_sheet, e.recalibrated, e.extended, e.unit) for e in errors)
+    caption = (
+        f"Full-run error, root mean square, on {_on(held_out)}. Data sheet: nominal parameters, no effects. "
+        "Recalibrated: parameters fitted without any effect. Extended: parameters and effects as found. A full run is driven by "
+        "the logged inputs alone."
+    )
+    return Table("From the data sheet to the extended plant", header, rows, caption=caption)
 
 
 def _gain_tables(found: Diagnosis, held_out: bool) -> tuple[Table, ...]:
     rows = tuple((c.key, g.record, g.channel, g.horizon, g.before, g.after, g.unit) for c in found.causes for g in c.gains)
     if not rows:
         return ()
-    where = "held-out records" if held_out else "the records themselves: none was held out"
-    caption = f"Root mean square on {where}, before and after each cause is added to those above it."
-    return (Table("Gain", ("cause", "record", "channel", "horizon", "before", "after", "unit"), rows, caption=caption),)
+    header = ("cause", "record", "channel", "horizon", "without", "with", "unit")
+    caption = (
+        f"Root mean square on {_on(held_out)}, without each cause and with it; all other causes are in both, and the "
+        "parameters are recalibrated in both."
+    )
+    return (Table("Gain of each cause", header, rows, caption=caption),)
+
+
+def _on(held_out: bool) -> str:
+    return "held-out records" if held_out else "the records themselves: none was held out"
 
 
 def _left_blocks(plant: Plant, found: Diagnosis) -> tuple[Block, ...]:
@@ -284,32 +258,37 @@ def _parameter_blocks(plant: Plant, found: Diagnosis) -> tuple[Block, ...]:
         ParameterEstimate(name, e.unit, e.nominal, e.value, e.low, e.high, tolerance.get(name, 0.0))
         for name, e in found.recalibrated.items()
     ]
-    rows = tuple((e.name, e.unit, e.nominal, 100 * e.tolerance, e.value, e.low, e.high) for e in estimates)
-    header = ("parameter", "unit", "nominal", "tolerance [%]", "value", "low", "high")
-    picture = (figures.parameters(estimates),) if estimates else ()
-    return (*picture, Table("Recalibrated parameters", header, rows))
+    if not estimates:
+        return (Text("No parameter is open: none has a tolerance."),)
+    meaning = {q.name: q.meaning for q in plant.parameters}
+    rows = tuple((e.name, e.unit, e.nominal, 100 * e.tolerance, e.value, e.low, e.high, meaning[e.name]) for e in estimates)
+    header = ("parameter", "unit", "data sheet", "tolerance [%]", "value", "low", "high", "meaning")
+    caption = "Fitted together with the effects that are named, with 95 % intervals."
+    return (figures.parameters(estimates), Table("Parameters of the extended plant", header, rows, caption=caption))
 
 
-def _next_blocks(plant: Plant, todo: NextExperiment) -> tuple[Block, ...]:
+def _next_blocks(plant: Plant, found: Diagnosis) -> tuple[Block, ...]:
+    todo = found.next_experiment
+    if todo is None:
+        return (Text(next_step(found)),)
     rows = tuple(sorted(todo.expected.items(), key=lambda item: -item[1]))
     caption = "Twice the gain of log-likelihood by which an experiment should tell the rivals apart; below 10 it does not."
-    table = Table("Expected evidence", ("experiment", "expected evidence"), rows, caption=caption, digits=3)
+    table = (Table("Expected evidence", ("experiment", "expected evidence"), rows, caption=caption, digits=3),) if rows else ()
     if not todo.signals:
-        return (Text(_ended(todo.sentence)), table)
-    caption = f"{_ended(todo.sentence)} Also beside this page as {EXPERIMENT_FILE}."
-    return (figures.signals("Next experiment", todo.dt, _signals(plant, todo), caption), table)
+        return (Text(ended(todo.sentence)), *table)
+    caption = f"{ended(todo.sentence)} Also beside this page as {EXPERIMENT_FILE}."
+    return (figures.signals("Next experiment", todo.dt, _signals(plant, todo), caption), *table)
 
 
 def _reach_blocks(found: Diagnosis) -> tuple[Block, ...]:
     limits = Table(
         "Detection limits",
-        ("effect", "at", "smallest size shown", "unit"),
-        tuple((d.effect, d.place, d.value, d.unit) for d in found.limits),
+        ("at", "effect", "smallest size shown", "unit"),
+        tuple((d.place, d.effect, d.value, d.unit) for d in sorted(found.limits, key=lambda d: (d.place, d.effect))),
         caption="The smallest size of each effect that these records would show (5 standard deviations).",
         digits=3,
     )
-    untestable = Table(
-        "Could not be tested", ("effect", "at", "why"), tuple((u.effect, u.place, u.why) for u in found.untestable)
-    )
+    rows = tuple((u.place, u.effect, u.why) for u in sorted(found.untestable, key=lambda u: (u.place, u.effect)))
+    untestable = (Table("Could not be tested", ("at", "effect", "why"), rows),) if rows else ()
     alike = (figures.similarity(found.tested, found.similarity),) if len(found.tested) else ()
-    return (limits, untestable, *alike)
+    return (limits, *untestable, *alike)

@@ -23,9 +23,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from plants import POSITIONING_AXIS
 from studies.calibration import PLANT_FILE
-from studies.diagnosis import sizes as described
 from studies.diagnosis import to_json
-from studies.diagnosis import verdict as diagnosed
+from studies.verdict import sizes as described
+from studies.verdict import verdict as diagnosed
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.answer import Diagnosis, Finding
 from workbench.diagnose.diagnosis import diagnose

@@ -20,7 +20,7 @@ import numpy as np
 from studies.calibration import PLANT_FILE
 from studies.calibration import Records as Split
 from studies.diagnosis import page, to_json
-from studies.diagnosis import sizes as described
+from studies.verdict import sizes as described
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.answer import Cause, Diagnosis, Finding
 from workbench.diagnose.diagnosis import diagnose
@@ -28,6 +28,7 @@ from workbench.diagnose.gains import HORIZONS, SETTLING, errors, on
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.diagnose.refit import Model
+from workbench.diagnose.stages import stages
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.identify import LTI
@@ -348,7 +349,8 @@ def _report(sides: list[Side], parts: Halves, said: str, source: dict[str, Any],
     ]
     for side in sides:
         records = Split(Dataset((side.own,)), Dataset((side.other,)), ())
-        own = page(side.plant, side.found, records, source)
+        held = records.held_out or records.own
+        own = page(side.plant, side.found, records, stages(side.plant, side.found, records.own, held), source)
         sections += [Section(f"{side.own.name}: {s.title}", s.blocks) for s in own.sections if s.title in SHOWN]
     title = "DaISy winding process: what a linear model gets wrong"
     return Report(title, ("Quick. " if quick else "") + said, (*sections, Section("Provenance", (Provenance(source),))))

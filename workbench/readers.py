@@ -50,6 +50,7 @@ UNITS: dict[str, Unit] = {
     "min": Unit("time", 60.0),
     "h": Unit("time", 3600.0),
     "rad": Unit("angle", 1.0),
+    "mrad": Unit("angle", 1e-3),
     "deg": Unit("angle", math.pi / 180),
     "°": Unit("angle", math.pi / 180),
     "turn": Unit("angle", 2 * math.pi),

@@ -108,5 +108,5 @@ def test_a_held_out_record_in_another_unit_is_refused_before_anything_is_fitted(
     assert main(["calibrate", *words, "--out", str(tmp_path / "o")]) == 2
     said = capsys.readouterr().err
     assert "held" in said
-    assert "v looks like mm/s, expected m/s" in said
+    assert "channel v: looks like mm/s, expected m/s" in said
     assert "fitting" not in said

@@ -10,8 +10,8 @@ import pytest
 
 from plants import PLANTS
 from studies.cli import main
-from studies.diagnosis import verdict
 from studies.experiments import plan
+from studies.verdict import HEADLINES, next_step, sentences, verdict
 from workbench.data import Dataset
 from workbench.diagnose.answer import (
     Cause,
@@ -26,6 +26,7 @@ from workbench.diagnose.answer import (
     Untestable,
 )
 from workbench.diagnose.domains import shown
+from workbench.diagnose.stages import StageError
 from workbench.readers import read, write_csv
 from workbench.simulate import simulate
 
@@ -112,28 +113,73 @@ def diagnosed(monkeypatch):
 
 def test_the_verdict_names_cause_size_interval_gain_rivals_rest_and_what_to_measure():
     said = verdict(answer(), held_out=True)
-    assert said.startswith("Dry friction at rail: a constant force against the direction of motion.")
+    assert said.startswith("INCOMPLETE: causes are named, and something is left")
+    assert "Dry friction at rail: a constant force against the direction of motion." in said
+    assert "With the parameters recalibrated it takes" in said
     assert "coulomb@rail: level 0.3 N (95 %: 0.29 to 0.31)" in said
     assert "one-step error of v on held-out records from 0.01 to 0.0021 m/s" in said  # the full runs did not all last
     assert "cannot tell it (90 %) from offset@u (10 %)" in said
-    assert "Something is left" in said
     assert "Rate of v1 varies with arm." in said
     assert said.endswith("What to measure next: Run slowly through a reversal.")
 
 
 def test_each_finding_has_its_words():
     nothing = answer(finding=Finding.NOTHING, causes=(), effects={}, remainder=(), next_experiment=None)
-    assert verdict(nothing, True) == "Nothing is missing from the simulation of welding-robot that these records can show."
+    assert verdict(nothing, True).startswith("NOTHING: these records show nothing that the simulation of welding-robot lacks")
     unknown = answer(finding=Finding.UNKNOWN, causes=(), effects={}, next_experiment=None)
     assert verdict(unknown, True).startswith(
-        "Something is missing from the simulation, and no effect of the catalogue explains it."
+        "UNKNOWN: the simulation of welding-robot lacks something that no effect of the catalogue explains"
     )
     assert "varies with arm" in verdict(unknown, True)
     two = answer(finding=Finding.NAMED, causes=(cause(), cause("slip", "wheel", 0.1)), remainder=(), next_experiment=None)
     assert "coulomb@rail" in verdict(two, True)
     assert "slip@wheel" in verdict(two, True)
-    assert "Something is left" not in verdict(two, True)
+    assert verdict(two, True).startswith("NAMED: ")
+    assert "something is left" not in verdict(two, True)
     assert "none was held out" in verdict(two, False)
+    assert verdict(replace(two, causes=answer().causes), True).startswith("NAMED, with a tie: ")
+    assert set(HEADLINES) == set(Finding)
+
+
+def test_an_all_clear_states_first_what_would_have_shown_at_the_place_where_it_shows_least():
+    limits = (
+        Limit("coulomb", "unwind", 0.0012, "N m"), Limit("coulomb", "rewind", 0.0034, "N m"), Limit("offset", "V1", 0.031, "V"),
+        Limit("sensor-gain", "w3", 0.14, "1"), Limit("viscoelastic", "T1", 0.2, "1"),
+    )  # fmt: skip
+    hidden = tuple(Untestable("sensor-lag", name, "this channel was not measured") for name in ("w1", "w2", "theta", "r2"))
+    nothing = answer(finding=Finding.NOTHING, causes=(), remainder=(), next_experiment=None, limits=limits, untestable=hidden)
+    first, second, *_ = sentences(nothing, True)
+    assert first == HEADLINES[Finding.NOTHING].format(plant="welding-robot")
+    assert second == (
+        "They would have shown dry friction from 0.0034 N m (rewind), an offset from 0.031 V (V1), a wrong scale from 14 % (w3); "
+        "less may be there. They cannot show sensor-lag@w1, sensor-lag@w2, sensor-lag@theta and 1 more at any size."
+    )
+    assert "They cannot" not in sentences(replace(nothing, untestable=()), True)[1]
+    assert len(sentences(replace(nothing, untestable=(), limits=()), True)) == 2  # nothing to say beside headline and next step
+
+
+def test_where_no_experiment_is_offered_the_reason_is_said():
+    tied = answer(next_experiment=None)
+    assert next_step(tied).startswith("No experiment was found that would tell coulomb@rail from offset@u; what would: A stop or")
+    alone = answer(next_experiment=None, causes=(cause(),), finding=Finding.NAMED)
+    assert "no other effect explains these records as well" in next_step(alone)
+    assert "what is left has no name" in next_step(replace(alone, finding=Finding.UNKNOWN, causes=()))
+    assert "larger motion" in next_step(replace(alone, finding=Finding.NOTHING, causes=()))
+
+
+def test_errors_are_said_from_the_data_sheet_over_recalibration_to_the_extension():
+    def error(channel, record, *levels):
+        return StageError(record, channel, "m/s", *levels)
+
+    errors = (
+        error("a", "one", 0.4, 0.3, 0.2), error("v", "one", 0.31, 0.05, 0.003), error("v", "two", 0.29, 0.03, 0.005),
+    )  # fmt: skip
+    said = verdict(answer(), True, errors)
+    assert (
+        "Full-run error of v on held-out records: 0.3 m/s from the data sheet, 0.04 m/s recalibrated, 0.004 m/s extended." in said
+    )
+    away = verdict(answer(), True, (error("v", "one", np.nan, 0.05, 0.003),))
+    assert "Full-run error of v on held-out records: 0.05 m/s recalibrated, 0.003 m/s extended." in away
 
 
 # ---- files and page --------------------------------------------------------------------------------------------------
@@ -146,7 +192,8 @@ def test_the_command_says_the_verdict_first_and_writes_all_it_promises(records, 
     assert main([*words, "--json", str(tmp_path / "d.json")]) == 0
     assert (asked["names"], asked["held_out"]) == (("curve1", "rbs"), ("prbs",))
     heard = capsys.readouterr()
-    assert heard.out.splitlines()[0] == verdict(answer(), held_out=True)
+    assert heard.out.splitlines()[0] == HEADLINES[Finding.INCOMPLETE].format(plant="welding-robot")
+    assert "from the data sheet, " in heard.out
     assert "note: u hardly reverses" in heard.out
     assert "looking" in heard.err
 
@@ -173,8 +220,20 @@ def test_the_command_says_the_verdict_first_and_writes_all_it_promises(records, 
         "What is left",
         "What to measure next",
         "Causes and rivals",
+        "odds [%]",
+        "From the data sheet to the extended plant",
+        "Gain of each cause",
+        "Could not be tested",
     ):
         assert title in page
+    assert "force = -level * tanh(v / width)" in page
+    assert "force: positive in the direction of positive speed; v: speed)" in page
+    assert "platform with electrode feed" in page
+    staged = {(e["record"], e["channel"]): e for e in content["stages"]}
+    full = staged["prbs", "v"]
+    assert full["extended"] < 0.2 * full["recalibrated"] < full["data_sheet"]
+    (path,) = (tmp_path / "data").glob("*detection-limits.csv")
+    assert [line.split(",")[:2] for line in path.read_text().splitlines()[1:]] == [["rail", "coulomb"], ["u", "offset"]]
     for text in ("missing force at rail [N]", "the arm does not move fast enough", "offset@u", "Beyond their tolerance: b1."):
         assert text in page
     assert len(list((tmp_path / "data").glob("*.csv"))) == page.count("<figure") + page.count('class="table" id')
@@ -211,11 +270,23 @@ def test_the_extended_plant_runs_and_explains_the_held_out_record(records, diagn
 def test_an_answer_without_a_cause_has_a_page_too(records, diagnosed, tmp_path, capsys):
     diagnosed(answer(finding=Finding.NOTHING, causes=(), effects={}, remainder=(), next_experiment=None, notes=()))
     assert main(["diagnose", str(records / "rbs.csv"), "--plant", "welding-robot", "--out", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.startswith("Nothing is missing")
+    assert capsys.readouterr().out.startswith("NOTHING: ")
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     assert content["next_experiment"] is None
     assert not (tmp_path / "next_experiment.csv").exists()
-    assert "What is missing" not in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert "What is missing" not in page
+    assert "larger motion would show smaller sizes" in page
+
+
+def test_what_is_empty_is_left_out_of_the_page(records, diagnosed, tmp_path):
+    diagnosed(answer(finding=Finding.NAMED, causes=(cause(),), remainder=(), next_experiment=None, untestable=()))
+    assert main(["diagnose", str(records / "rbs.csv"), "--plant", "welding-robot", "--out", str(tmp_path)]) == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "Nothing ties." in page
+    assert "no other effect explains these records as well" in page
+    for title in ("odds", "Could not be tested", "What is left"):
+        assert title not in page
 
 
 def test_records_of_another_machine_end_with_a_sentence_and_nothing_is_written(records, diagnosed, tmp_path, capsys):
@@ -242,6 +313,16 @@ def test_dry_friction_is_drawn_in_newton_over_speed():
     s = shown(ROBOT, HIDDEN, "coulomb@rail", Dataset((e,)))
     assert (str(s.over), str(s.what)) == ("v1 [m/s]", "missing force at rail [N]")
     assert_on_the_law(s, lambda v: -0.3 * np.tanh(v / 0.02))
+
+
+def test_the_weight_of_the_arm_is_drawn_in_newton_over_its_angle_and_a_rate_in_metre_per_second_squared():
+    effects = {"arm-gravity@rail": {"sine": 0.4, "cosine": 0.1}}
+    s = shown(ROBOT, effects, "arm-gravity@rail", Dataset((drawn(ROBOT, "rbs", 1, effects),)))
+    assert (str(s.over), str(s.what)) == ("arm [rad]", "missing force at rail [N]")
+    assert_on_the_law(s, lambda arm: -(0.4 * np.sin(arm) + 0.1 * np.cos(arm)))
+    effects = {"platform-mass@rail": {"change": 0.2, "swing": 0.1, "period": 8.0}}
+    s = shown(ROBOT, effects, "platform-mass@rail", Dataset((drawn(ROBOT, "rbs", 1, effects),)))
+    assert str(s.what) == "missing rate of v1 [m/s^2]"
 
 
 def test_a_wrong_effect_shows_in_the_points_beside_its_line():

@@ -114,8 +114,8 @@ def calibrate(plant: Plant, dataset: Dataset, *, names: Sequence[str] | None = N
     """Fit the parameters called `names` (default: all with a tolerance, and those with a bound) to the records.
 
     A parameter that would leave its bounds is held there and the others are fitted again. A bound is also the tolerance of a
-    parameter that has none. Raises InputError for unknown names, bounds without the nominal value, and parameters that
-    are neither open by their tolerance nor bounded.
+    parameter that has none. Raises InputError for unknown names, bounds upside down or without the nominal value, and
+    parameters that are neither open by their tolerance nor bounded.
     """
     bounds = dict(bounds or {})
     opened = _opened(plant, names, bounds)
@@ -160,7 +160,13 @@ def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:
     for q in plant.parameters:
         if q.name in bounds:
             low, high = bounds[q.name]
-            if not low < high or not low <= q.value <= high:
+            if not low < high:
+                raise InputError(
+                    f"bound {low:g}:{high:g} of {q.name}: its low end is not below its high end",
+                    file=plant.name,
+                    mend=f"write --bound {q.name}={high:g}:{low:g}" if low > high else f"give --bound {q.name}=LOW:HIGH",
+                )
+            if not low <= q.value <= high:
                 raise InputError(
                     f"bound {low:g}:{high:g} does not hold the nominal {q.name} = {q.value:g} {q.unit}",
                     file=plant.name,

@@ -4,10 +4,15 @@
 
 tells a measured channel y from a free run z of the plant under the logged inputs: 0 where they follow one course. It is taken of
 the whole channels and of their fast parts, around a moving average: what a free run misses most is slow. No missing physics turns
-a channel into another, or makes it 9.55 times as large while it follows the same course.
+a channel into another, upside down, or makes it 9.55 times as large while it follows the same course.
+
+Every slip is a guess that is tried: an input that is mended gives another run, an output that is mended another record, and the
+guess that brings the two closest is said. Where one input moves one output nothing tells which of them is wrong but the noise: a
+reading in another unit brings its noise along.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -24,6 +29,9 @@ PER_UNKNOWN = 10  # samples for each state and each parameter that is open
 MOVES = 2.0  # a channel whose spread around a line is less than so many standard deviations of its noise stands still
 STUCK = 0.5  # share of samples at one end of its range that makes a channel useless
 NEAR = 0.25  # a ratio of spreads is a unit's factor f if it is within f**NEAR of it
+BETTER = 0.5  # share of the distance that an input which is mended must take off
+TOLD = 0.05  # difference of two distances below which neither is closer
+TENS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)  # factors of a size for which no unit is known
 APART = 6.0  # units closer to each other than this factor are not told by size
 ALIKE = 0.9  # correlation above which two channels follow one course
 UNLIKE = 0.3  # and below which one does not explain the other
@@ -142,23 +150,47 @@ def _check_excitation(plant: Plant, e: Experiment) -> None:
 
 
 def _moves(y: np.ndarray) -> bool:
-    """Whether a channel (N,) leaves a straight line by more than its white part, which second differences show."""
+    """Whether a channel (N,) leaves a straight line by more than its white part."""
     t = np.linspace(-1.0, 1.0, len(y))
     spread = float(np.std(y - np.polyval(np.polyfit(t, y, 1), t)))
-    white = float(np.median(np.abs(np.diff(y, 2)))) / (0.6745 * np.sqrt(6.0))
-    return spread > MOVES * white and spread > 1e-9 * float(np.abs(y).max())
+    return spread > MOVES * _white(y) and spread > 1e-9 * float(np.abs(y).max())
+
+
+def _white(y: np.ndarray) -> float:
+    """Standard deviation of the white part of a channel (N,), which second differences show."""
+    return float(np.median(np.abs(np.diff(y, 2)))) / (0.6745 * np.sqrt(6.0))
 
 
 # ---- against a free run of the plant -------------------------------------------------------------------------------------
 
 
 @record
-class Trial:
-    """The logged inputs, or these as they would be if one slip of the hand were mended; said: the slip."""
+class Slip:
+    """What a slip of the hand makes channels look like, and what mends it."""
 
-    said: str
+    channels: tuple[str, ...]
+    looks: str
     mend: str
+    factor: float = field("", default=1.0)  # what mends them is multiplied by
+
+    def __str__(self) -> str:
+        return f"{' and '.join(self.channels)} {'looks' if len(self.channels) == 1 else 'look'} {self.looks}"
+
+
+@record
+class Trial:
+    """The logged inputs as they would be if a slip were mended."""
+
+    slip: Slip | None
     u: np.ndarray = field("N nu")
+
+
+@record
+class Guess:
+    """Slips that were made together, and how far record and run are apart where all of them are mended."""
+
+    slips: tuple[Slip, ...]
+    away: float = field("")
 
 
 @record
@@ -176,6 +208,11 @@ class Compared:
         if not len(self.y):
             return WORST
         return float(np.mean([min(nearest(y, z).distance, WORST) for y, z in zip(self.y.T, self.z.T, strict=True)]))
+
+    def mended(self, slips: tuple[Slip, ...]) -> "Compared":
+        """The same with outputs as they would be without these slips."""
+        factor = {name: slip.factor for slip in slips for name in slip.channels}
+        return replace(self, y=self.y * [factor.get(c.name, 1.0) for c in self.channels])
 
 
 @record
@@ -215,18 +252,11 @@ def _fast(y: np.ndarray) -> np.ndarray:
 def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     _check_turns(plant, e)
     trials = list(_trials(plant, e))
-    runs = [_until_it_leaves(plant, e, run) for run in _free_runs(plant, e, trials)]
-    own, lasts = runs[0], len(runs[0].y) * e.dt
-    best = min(range(len(runs)), key=lambda k: runs[k].away)
-    slips = dict(_wrong_sizes(own))
-    if slips and len(slips) < len(own.channels):  # some outputs only: it is theirs
-        raise next(iter(slips.values()))
-    if runs[best].away < 0.5 * min(own.away, 1.0):
-        either = [f"or {c.name} {slip.problem}" for c, slip in slips.items()]  # one input and one output: nobody can tell
-        raise InputError(" ".join([trials[best].said, *either]), file=e.name, mend=trials[best].mend)
-    for slip in slips.values():
-        asked = f"{slip.mend}; or is {' or '.join(plant.commanded)} in another unit?"
-        raise InputError(slip.problem, file=e.name, channel=slip.channel, mend=asked)
+    own, *others = (_until_it_leaves(plant, e, run) for run in _free_runs(plant, e, trials))
+    lasts = len(own.y) * e.dt
+    guesses = _guesses(plant, own, [Guess((t.slip,), run.away) for t, run in zip(trials[1:], others, strict=True) if t.slip])
+    if guesses:
+        raise _slipped(e.name, guesses)
     _check_limits(plant, e, own.channels)
     if not len(own.y):
         yield _lost(plant, e)
@@ -237,13 +267,65 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     _check_explained(plant, own)
 
 
+def _guesses(plant: Plant, own: Compared, tried: Sequence[Guess]) -> tuple[Guess, ...]:
+    """The slips that explain the record best, of inputs, of outputs, or of either where nothing tells them apart."""
+    slips = tuple(_output_slips(own))
+    outputs = Guess(slips, own.mended(slips).away) if slips else None
+    close = [guess for guess in tried if guess.away < BETTER * min(own.away, 1.0)]
+    inputs = min(close, key=lambda guess: guess.away, default=None)
+    alone = len(plant.commanded) == 1 and len(own.channels) == 1
+    if alone and outputs and not (inputs and _equal(inputs, outputs)):
+        inputs = Guess((_counterpart(plant, slips[0]),), outputs.away)  # whatever moves the only output does it alone
+    if not (inputs and outputs):
+        return tuple(guess for guess in (inputs, outputs) if guess)
+    if not _equal(inputs, outputs):
+        return (min(inputs, outputs, key=lambda guess: guess.away),)
+    match _noise_is_scaled(plant, own, slips[0]) if alone else None:
+        case None:
+            return (inputs, outputs)
+        case True:
+            return (outputs,)
+        case False:
+            return (inputs,)
+
+
+def _equal(one: Guess, other: Guess) -> bool:
+    return abs(one.away - other.away) <= TOLD
+
+
+def _slipped(file: str, guesses: Sequence[Guess]) -> InputError:
+    mend = ", or ".join("; ".join(slip.mend for slip in guess.slips) for guess in guesses)
+    first = guesses[0].slips[0]
+    if len(guesses) == len(guesses[0].slips) == len(first.channels) == 1:
+        return InputError(f"looks {first.looks}", file=file, channel=first.channels[0], mend=mend)
+    said = ", or ".join("; ".join(map(str, guess.slips)) for guess in guesses)
+    return InputError(said, file=file, mend=f"{mend}: these records do not tell which" if len(guesses) > 1 else mend)
+
+
+def _counterpart(plant: Plant, slip: Slip) -> Slip:
+    """What would be wrong with the only input, if the only output were right."""
+    channel = next(c for c in plant.inputs if c.name in plant.commanded)
+    return _reversed((channel,)) if slip.factor == -1.0 else _off(channel, 1.0 / slip.factor)
+
+
+def _noise_is_scaled(plant: Plant, own: Compared, slip: Slip) -> bool | None:
+    """Whether the noise of the only output is that of another unit, too; None where it is not known or near to neither."""
+    level = plant.noise.get(own.channels[0].name, 0.0)
+    white = _white(own.y[:, 0])
+    if slip.factor == -1.0 or not (level > 0.0 and white > 0.0):
+        return None
+    size = -float(np.log(slip.factor))
+    at = float(np.log(white / level)) / size  # 0: as the plant states it, 1: as much larger as the channel is
+    return at > 0.5 if min(abs(at), abs(at - 1.0)) < NEAR else None
+
+
 def _lost(plant: Plant, e: Experiment) -> Note:
     """A plant that its own limits stop at once is not driven like this; one without limits may be unstable."""
     if plant.limits:
         raise InputError(
             f"driven by the logged inputs, {plant.name} leaves its range at once",
             file=e.name,
-            mend="is it a record of this machine, and are the inputs in their places and units?",
+            mend=f"is it a record of this machine, and are {' and '.join(plant.commanded)} in their places and units?",
         )
     return Note(e.name, "", f"a free run of {plant.name} does not last: units and places of channels were not checked by it")
 
@@ -252,26 +334,76 @@ def _check_turns(plant: Plant, e: Experiment) -> None:
     """An angle that moves on its own need not move any output: only its size tells degrees from radians."""
     for channel in plant.inputs:
         turns = channel.unit == "rad" and channel.role == "schedule" and channel.name in e.names
-        if turns and np.abs(e[channel.name]).max() > TURNS:
-            raise _looks_like(e.name, channel, "deg", UNITS["deg"].factor)
+        furthest = float(np.abs(e[channel.name]).max()) if turns else 0.0
+        if furthest > TURNS:
+            units = sorted(_other_units("rad"), key=lambda other: -other[1])
+            near = [other for other in units if furthest * other[1] <= TURNS]
+            slip = _in_unit((channel,), *near[0]) if near else _sized((channel,), TURNS / furthest)
+            raise _slipped(e.name, [Guess((slip,), 0.0)])
 
 
 def _trials(plant: Plant, e: Experiment) -> Iterator[Trial]:
     u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
-    yield Trial("", "", u)
+    yield Trial(None, u)
     for a, b in combinations([plant.input_names.index(name) for name in plant.commanded], 2):
-        names, swapped = f"{plant.input_names[a]} and {plant.input_names[b]}", u.copy()
+        swapped = u.copy()
         swapped[:, [a, b]] = u[:, [b, a]]
-        yield Trial(f"{names} look exchanged: the other way round the plant follows the record", f"swap {names}", swapped)
+        names = plant.input_names[a], plant.input_names[b]
+        looks = "exchanged: the other way round the plant follows the record"
+        yield Trial(Slip(names, looks, f"swap {' and '.join(names)}"), swapped)
+    for slip in _input_slips(plant):
+        scaled = u.copy()
+        scaled[:, [plant.input_names.index(name) for name in slip.channels]] *= slip.factor
+        yield Trial(slip, scaled)
+
+
+def _input_slips(plant: Plant) -> Iterator[Slip]:
+    """Each input alone, and all of a unit together, upside down, in another unit, or of another size."""
     for unit in dict.fromkeys(c.unit for c in plant.inputs):
-        own = [i for i, c in enumerate(plant.inputs) if c.unit == unit and c.name in plant.commanded]
-        for columns in dict.fromkeys([*((i,) for i in own), tuple(own)]):
-            for other, factor in _other_units(unit):
-                scaled = u.copy()
-                scaled[:, columns] *= factor
-                names = ", ".join(plant.input_names[i] for i in columns)
-                mend = f"multiply by {factor:.6g} and write the unit [{unit}] in the header"
-                yield Trial(f"{names} looks like {other}, expected {unit}", mend, scaled)
+        own = [c for c in plant.inputs if c.unit == unit and c.name in plant.commanded]
+        for channels in [[c] for c in own] + ([own] if len(own) > 1 else []):
+            yield _reversed(channels)
+            units = list(_other_units(unit))
+            yield from (_in_unit(channels, other, factor) for other, factor in units)
+            yield from (_sized(channels, ten) for ten in TENS if not any(_same_size(ten, factor) for _, factor in units))
+
+
+def _same_size(ratio: float, factor: float) -> bool:
+    """Whether a ratio of spreads may be the factor of a unit."""
+    return abs(float(np.log(ratio / factor))) < NEAR * abs(float(np.log(factor)))
+
+
+def _reversed(channels: Sequence[Channel]) -> Slip:
+    names = tuple(c.name for c in channels)
+    return Slip(names, "reversed in sign", f"multiply {' and '.join(names)} by -1", -1.0)
+
+
+def _in_unit(channels: Sequence[Channel], other: str, factor: float) -> Slip:
+    names, unit = tuple(c.name for c in channels), channels[0].unit
+    header = " and ".join(map(str, channels))
+    mend = f"multiply {' and '.join(names)} by {factor:.6g} and write {header} in the header"
+    return Slip(names, f"like {other}, expected {unit}", mend, factor)
+
+
+def _off(channel: Channel, factor: float) -> Slip:
+    """A channel that must be multiplied by about `factor`: in another unit, if there is one of that size."""
+    units = dict(_other_units(channel.unit))
+    other = min(units, key=lambda name: abs(float(np.log(factor / units[name]))), default="")
+    named = other and _same_size(factor, units[other])
+    return _in_unit((channel,), other, units[other]) if named else _sized((channel,), factor)
+
+
+def _sized(channels: Sequence[Channel], factor: float) -> Slip:
+    """Channels of another size by a factor of no unit that is known."""
+    names = tuple(c.name for c in channels)
+    size = f"{_two_digits(1.0 / factor)} times too large" if factor < 1.0 else f"{_two_digits(factor)} times too small"
+    unit = channels[0].unit or "the plant's unit"
+    mend = f"bring {' and '.join(names)} to {unit} (times {_two_digits(factor)} or so)"
+    return Slip(names, size, f"{mend}, unless it is another machine or a parameter of the plant is far off", factor)
+
+
+def _two_digits(number: float) -> str:
+    return f"{float(f'{number:.2g}'):g}"
 
 
 def _other_units(unit: str) -> Iterator[tuple[str, float]]:
@@ -305,21 +437,16 @@ def _until_it_leaves(plant: Plant, e: Experiment, run: np.ndarray) -> Compared:
     return Compared(e.name, channels, e[[c.name for c in channels]][:n], run[:n][:, seen])
 
 
-def _wrong_sizes(own: Compared) -> Iterator[tuple[Channel, InputError]]:
-    """Outputs that follow the run at the size of another unit."""
+def _output_slips(own: Compared) -> Iterator[Slip]:
+    """Of outputs that follow the run upside down, or at another size than missing physics gives them."""
     for channel, y, z in zip(own.channels, own.y.T, own.z.T, strict=True) if len(own.y) else ():
-        like, units = nearest(y, z), dict(_other_units(channel.unit))
-        if like.correlation < ALIKE or not units:
+        like = nearest(y, z)
+        if like.correlation < UNLIKE and nearest(-y, z).correlation > ALIKE:
+            yield _reversed((channel,))
+        if like.correlation < ALIKE:
             continue
-        off = {other: abs(float(np.log(like.ratio * factor))) for other, factor in units.items()}
-        other = min(off, key=lambda name: off[name])
-        if off[other] < NEAR * abs(np.log(units[other])):
-            yield channel, _looks_like(own.file, channel, other, units[other])
-
-
-def _looks_like(file: str, channel: Channel, other: str, factor: float) -> InputError:
-    mend = f"multiply the column by {factor:.6g} and write {channel} in the header"
-    return InputError(f"looks like {other}, expected {channel.unit}", file=file, channel=channel.name, mend=mend)
+        if abs(np.log(like.ratio)) > np.log(APART):
+            yield _off(channel, 1.0 / like.ratio)
 
 
 def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) -> None:
@@ -331,7 +458,9 @@ def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) ->
             continue
         for other, factor in _other_units(channel.unit):
             if low <= middle * factor <= high:
-                raise _looks_like(e.name, channel, other, factor)
+                raise _slipped(e.name, [Guess((_in_unit((channel,), other, factor),), 0.0)])
+        if low <= -middle <= high:
+            raise _slipped(e.name, [Guess((_reversed((channel,)),), 0.0)])
         raise InputError(
             f"is {middle:.4g} {channel.unit} half of the time, {plant.name} stays within [{low:g}, {high:g}] {channel.unit}",
             file=e.name,

@@ -17,6 +17,8 @@ from workbench.diagnose.calibrate import along
 from workbench.diagnose.predictor import Course, Predictor
 from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain, Effect, Named
+from workbench.physics.effects.robot import Robot
+from workbench.physics.effects.shaft import Slide
 from workbench.physics.plant import EffectSizes, Plant, Slot
 from workbench.records import field, record
 
@@ -121,19 +123,38 @@ def _rates(scene: _Scene, eta: np.ndarray) -> np.ndarray:
 
 
 def _unit(scene: _Scene, added: np.ndarray, j: int) -> tuple[Channel, float]:
-    """What is drawn and its size per rate of change of state j: for a torque or a force on a shaft that itself."""
-    plant, effect, course = scene.predictor.plant, scene.effect, scene.course
-    state = plant.states[j]
-    if effect.family != "shaft" or effect.domain is Domain.LOAD or not np.any(added):
-        return Channel(f"missing rate of {state.name}", f"{state.unit}/s"), 1.0
-    port = next(q for q in plant.ports if (q.family, q.place) == (effect.family, scene.place))
-    own = [(slot.parameter, value) for slot, value in zip(plant.slots, scene.eta, strict=True) if slot.key == _key(scene)]
+    """What is drawn and its size per rate of change of state j: for a torque or a force that itself."""
+    state = scene.predictor.plant.states[j]
+    push = _push(scene)
+    if push is None or not np.any(added):
+        return Channel(f"missing rate of {state.name}", _per_second(state.unit)), 1.0
+    turns = scene.effect.family == "shaft" and not isinstance(_port(scene), Slide)
+    what = Channel(f"missing {'torque' if turns else 'force'} at {scene.place}", "N m" if turns else "N")
+    return what, float(np.dot(push, added) / np.dot(added, added))
+
+
+def _push(scene: _Scene) -> np.ndarray | None:
+    """The torque or force (N,) of an effect, if it is one that its law gives alone."""
+    plant, effect, port = scene.predictor.plant, scene.effect, _port(scene)
+    if effect.family not in ("shaft", "robot") or effect.domain is Domain.LOAD:
+        return None
+    own = Named({s.parameter.name: value for s, value in zip(plant.slots, scene.eta, strict=True) if s.key == _key(scene)})
+    if isinstance(port, Robot):
+        arm = scene.predictor.records[0].u[:, plant.input_names.index(port.arm)]
+        force, _ = effect.law(own, Named({"arm": arm, "arm_rate": np.gradient(arm, plant.dt), "t": scene.t}))
+        return np.broadcast_to(force, len(arm)) if np.any(force) else None
+    course = scene.course
     speed, turned = course.x[:, plant.state_names.index(port.speed)], course.angle[:, list(plant.turning).index(scene.place)]
-    shaft = Named({"speed": speed, "angle": turned, "t": scene.t, "load": 0.0})
-    torque = effect.law(Named({q.name: value for q, value in own}), shaft)
-    unit = "N m" if any("N m" in q.unit for q, _ in own) else "N"
-    name = f"missing {'torque' if unit == 'N m' else 'force'} at {scene.place}"
-    return Channel(name, unit), float(np.dot(torque, added) / np.dot(added, added))
+    return effect.law(own, Named({"speed": speed, "angle": turned, "t": scene.t, "load": 0.0}))
+
+
+def _port(scene: _Scene):
+    return next(q for q in scene.predictor.plant.all_ports if (q.family, q.place) == (scene.effect.family, scene.place))
+
+
+def _per_second(unit: str) -> str:
+    """m/s^2 for m/s, m/s for m."""
+    return f"{unit}^2" if unit.endswith("/s") else f"{unit or '1'}/s"
 
 
 def _key(scene: _Scene) -> str:

@@ -23,7 +23,10 @@ from workbench.physics.effects import effects_of
 from workbench.physics.effects.actuator import Actuator, Driven
 from workbench.physics.effects.effect import FOREVER, Effect, EffectParameter, Named
 from workbench.physics.effects.sensor import Sensor
+from workbench.readers import UNITS
 from workbench.records import field, record
+
+OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than its machine has its time in another unit
 
 
 @record
@@ -92,6 +95,8 @@ class Plant:
     discrete: the plant is known at its samples alone. Its equation is a difference per sample, (x+ - x) / dt, taken at a sample
     and held to the next; its outputs see the inputs of their own sample, measure(x, p, u), and it needs all of them. A dead time
     that is no whole number of samples mixes two samples of the command.
+
+    meaning: what channels and places are, in words, {"v1": "speed of the platform"}.
     """
 
     name: str
@@ -112,6 +117,7 @@ class Plant:
     effects: EffectSizes = field(default_factory=dict)
     process: Mapping[str, float] = field(default_factory=dict)
     discrete: bool = False
+    meaning: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
         for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
@@ -157,11 +163,24 @@ class Plant:
         return self.input_names if self.discrete else self.commanded
 
     def sampled(self, dt: float, *, file: object = None) -> "Plant":
-        """The same plant sampled every dt seconds; a discrete one knows nothing between its samples and refuses."""
+        """The same plant sampled every dt seconds.
+
+        Raises InputError where dt is so far from the plant's own that time must be in another unit, and for every other dt than
+        its own of a discrete plant, which knows nothing between its samples.
+        """
         if abs(dt - self.dt) <= SAME_DT * self.dt:
             return self
         if self.discrete:
             raise InputError(f"sampled every {dt:g} s, {self.name} every {self.dt:g} s", file=file, mend="resample the record")
+        if max(dt / self.dt, self.dt / dt) > OTHER_TIME:
+            times = {name: unit.factor for name, unit in UNITS.items() if unit.quantity == "time"}
+            unit = min(times, key=lambda name: abs(np.log(dt * times[name] / self.dt)))
+            raise InputError(
+                f"sampled every {dt:g} s, {self.name} every {self.dt:g} s: is its time in {unit}?",
+                file=file,
+                channel="t",
+                mend=f"multiply the time column by {times[unit]:g} and write t [s] in the header",
+            )
         return replace(self, dt=dt, substeps=max(1, round(self.substeps * dt / self.dt)))
 
     @cached_property
@@ -192,7 +211,10 @@ class Plant:
     @cached_property
     def offered(self) -> dict[tuple[str, str], tuple[Effect, ...]]:
         """(family, place) -> the effects that fit the port there, in the order in which they act."""
-        return {(q.family, q.place): tuple(filter(q.fits, effects_of(q.family))) for q in self.all_ports}
+        return {
+            (q.family, q.place): tuple(q.worded(effect) for effect in effects_of(q.family) if q.fits(effect))
+            for q in self.all_ports
+        }
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:

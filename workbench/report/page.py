@@ -123,7 +123,7 @@ class Section:
 
 @record
 class Report:
-    """A title, the verdict in one paragraph, and what it rests on."""
+    """A title, the verdict in a paragraph or a few, an empty line between them, and what it rests on."""
 
     title: str
     verdict: str
@@ -184,7 +184,7 @@ def html_text(report: Report) -> str:
 {_contents(report)}
 <main id="main">
 <header><h1>{_escape(report.title)}</h1>
-<p class="verdict">{_escape(report.verdict)}</p></header>
+<div class="verdict">{_paragraphs(report.verdict)}</div></header>
 {chr(10).join(sections)}
 </main>
 <script>{SCRIPT}</script>

@@ -26,6 +26,9 @@ a:focus-visible,button:focus-visible,
 .skip:focus{{left:1rem;top:1rem;background:var(--paper);padding:.5rem;z-index:2}}
 .verdict{{font-size:1.2rem;line-height:1.5;max-width:none;margin:0;padding:1.1rem 1.4rem;background:var(--card);
  border-left:4px solid var(--accent);border-radius:0 6px 6px 0}}
+.verdict p{{max-width:none;margin:.6rem 0}}
+.verdict p:first-child{{margin-top:0}}
+.verdict p:last-child{{margin-bottom:0}}
 nav{{grid-column:1;position:sticky;top:0;align-self:start;max-height:100vh;overflow-y:auto;padding:3.1rem .25rem 2rem 0;
  font-size:.85rem;line-height:1.35}}
 nav p{{margin:0 0 .6rem;color:var(--muted);font-weight:600}}

@@ -146,7 +146,8 @@ def test_a_periodic_effect_finds_its_angle_on_each_record():
     [
         ({"names": ["m3"]}, "unknown parameter 'm3'"),
         ({"bounds": {"m1": (1.2, 1.4)}}, "does not hold the nominal m1 = 1 kg"),
-        ({"bounds": {"m1": (1.4, 1.2)}}, "does not hold"),
+        ({"bounds": {"m1": (1.4, 0.8)}}, "write --bound m1=0.8:1.4"),
+        ({"bounds": {"m1": (1.0, 1.0)}}, "its low end is not below its high end"),
     ],
 )
 def test_bad_options_are_refused_by_name(records, options, said):

@@ -111,11 +111,66 @@ def test_an_axis_in_millimetres_and_an_arm_in_degrees():
 
 
 def test_with_one_input_and_one_output_both_may_be_in_another_unit():
-    problem = refused(AXIS, scaled(drawn(AXIS, "prbs"), "F", 1000.0)).problem
-    assert "F looks like mN" in problem
-    assert "or q looks like km" in problem
-    stiff = drawn(AXIS, "prbs", effects={"coulomb@slide": {"level": 20.0}})
-    assert "is F in another unit?" in refused(AXIS, scaled(stiff, "F", 1000.0)).mend
+    """The encoder of this axis states no noise: force and position are as likely to be wrong, and the mend names both."""
+    for effects in ({}, {"coulomb@slide": {"level": 20.0}}):
+        reason = refused(AXIS, scaled(drawn(AXIS, "prbs", effects=effects), "F", 1000.0))
+        assert reason.problem == "F looks like mN, expected N, or q looks like km, expected m"
+        assert "multiply F by 0.001" in reason.mend
+        assert "multiply q by 1000" in reason.mend
+        assert reason.mend.endswith("these records do not tell which")
+
+
+@pytest.mark.parametrize("effects", [{}, {"coulomb@rail": {"level": 0.2}, "arm-gravity@rail": {"sine": 0.3}}])
+def test_noise_tells_a_reading_in_another_unit_from_a_command_in_another(effects):
+    """1000 v under u is v under u/1000, but for the noise of v."""
+    e = drawn(ROBOT, "prbs", effects=effects)
+    reading, command = refused(ROBOT, scaled(e, "v", 1000.0)), refused(ROBOT, scaled(e, "u", 0.001))
+    assert (reading.channel, reading.problem) == ("v", "looks like mm/s, expected m/s")
+    assert reading.mend == "multiply v by 0.001 and write v [m/s] in the header"
+    assert (command.channel, command.problem) == ("u", "looks like kN, expected N")
+    assert refused(ROBOT, scaled(e, "u", 180 / np.pi)).channel == "u"  # there is no such unit of a force
+    assert refused(ROBOT, scaled(e, "v", np.pi / 180)).channel == "v"
+    silent = replace(ROBOT, noise={})
+    assert "u looks like kN, expected N, or v looks like mm/s" in refused(silent, scaled(e, "v", 1000.0)).problem
+
+
+@pytest.mark.parametrize("channel", ["V1", "V2", "w1", "w2", "w3", "theta", "r2"])
+def test_a_reversed_sign_is_said_as_such(winding, channel):
+    reason = refused(WINDING, scaled(winding, channel, -1.0))
+    assert (reason.channel, reason.problem, reason.mend) == (channel, "looks reversed in sign", f"multiply {channel} by -1")
+
+
+@pytest.mark.parametrize(("plant", "input_", "output"), [(ROBOT, "u", "v"), (AXIS, "F", "q")], ids=["robot", "axis"])
+def test_with_one_input_and_one_output_either_sign_may_be_reversed(plant, input_, output):
+    e = drawn(plant, "prbs")
+    for channel in (input_, output):
+        reason = refused(plant, scaled(e, channel, -1.0))
+        assert reason.problem == f"{input_} looks reversed in sign, or {output} looks reversed in sign"
+        assert f"multiply {input_} by -1, or multiply {output} by -1" in reason.mend
+
+
+@pytest.mark.parametrize("channel", ["V2", "w3"])
+def test_a_channel_a_thousand_times_too_large_or_small_is_never_taken_for_another(winding, channel):
+    """Nobody logs an angular velocity in mrad/s, but a logger has gains."""
+    for factor, said in ((1000.0, "too large"), (0.001, "too small")):
+        reason = refused(WINDING, scaled(winding, channel, factor))
+        assert reason.channel == channel
+        assert said in reason.problem or "looks like" in reason.problem
+
+
+def test_several_outputs_in_another_unit_are_all_named(winding):
+    rpm = winding
+    for name in ("w1", "w2", "w3"):
+        rpm = scaled(rpm, name, 30 / np.pi)
+    reason = refused(WINDING, rpm)
+    for name in ("w1", "w2", "w3"):
+        assert f"{name} looks like rpm, expected rad/s" in reason.problem
+        assert f"multiply {name} by 0.10472" in reason.mend
+
+
+def test_an_arm_in_thousandths_of_a_radian_is_not_taken_for_degrees():
+    reason = refused(ROBOT, scaled(drawn(ROBOT, "prbs"), "arm", 1000.0))
+    assert (reason.channel, reason.problem) == ("arm", "looks like mrad, expected rad")
 
 
 # ---- channels in wrong places, other machines ------------------------------------------------------------------------------
@@ -139,7 +194,12 @@ def test_a_record_of_another_machine_is_refused_by_its_channels():
 
 
 def test_a_larger_machine_of_the_same_channels_is_refused_by_its_range(winding):
-    assert "stays within [0.01, 0.03] m" in refused(WINDING, scaled(winding, "r2", 9.0)).problem
+    reason = refused(WINDING, scaled(winding, "r2", 9.0))
+    assert reason.problem == "looks 9 times too large"
+    assert "unless it is another machine" in reason.mend
+    alike = winding["r2"] + 0.05  # another radius that grows as fast
+    values = np.where(np.array(winding.names) == "r2", alike[:, None], winding.values)
+    assert "stays within [0.01, 0.03] m" in refused(WINDING, replace(winding, values=values)).problem
 
 
 def test_outputs_that_do_not_follow_the_inputs_are_refused():
@@ -157,6 +217,25 @@ def test_a_short_record_is_told_how_long_it_should_be(winding):
     reason = refused(WINDING, winding.trim(stop=4.0))
     assert "100 samples are too short" in reason.problem
     assert "at least 230 samples (9.2 s)" in reason.mend
+
+
+@pytest.mark.parametrize(("factor", "unit", "mend"), [(1e3, "ms", "0.001"), (1e6, "us", "1e-06"), (1 / 3600, "h", "3600")])
+@pytest.mark.parametrize("plant", [ROBOT, AXIS], ids=["robot", "axis"])
+def test_time_in_another_unit_under_the_header_of_seconds_is_refused_before_anything_runs(plant, factor, unit, mend, monkeypatch):
+    e = drawn(plant, "prbs")
+    monkeypatch.setattr("workbench.diagnose.check.simulate_batch", None)  # a sample of 20 s takes 1000 times as many steps
+    reason = refused(plant, replace(e, t=e.t * factor, dt=e.dt * factor))
+    assert (reason.file, reason.channel) == (e.name, "t")
+    assert f"is its time in {unit}?" in reason.problem
+    assert f"multiply the time column by {mend} " in reason.mend
+
+
+def test_a_slow_or_fast_logger_is_no_other_unit_of_time():
+    e = drawn(ROBOT, "prbs")
+    for every in (e.dt / 10, 5 * e.dt):
+        t = np.arange(e.t[0], e.t[-1], every)
+        values = np.column_stack([np.interp(t, e.t, column) for column in e.values.T])
+        check(ROBOT, Dataset((replace(e, t=t, values=values, dt=every),)))
 
 
 def test_inputs_at_rest_are_no_experiment(winding):

@@ -358,7 +358,7 @@ def test_the_arm_pushes_back_with_its_rate_over_the_last_sample():
 
 def test_contradictory_effects_are_refused():
     def made(sizes=("level",), **options):
-        return Effect("x", "shaft", tuple(EffectParameter(n, "N") for n in sizes), "{place}", "s", lambda e, s: 0.0,
+        return Effect("x", "shaft", tuple(EffectParameter(n, "N") for n in sizes), "{place}", "s", "f = 0", lambda e, s: 0.0,
                       Domain.SPEED, **options)  # fmt: skip
 
     made()

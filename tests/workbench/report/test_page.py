@@ -107,12 +107,14 @@ def test_nothing_is_loaded_from_anywhere():
     assert "default-src 'none'" in policy
 
 
-def test_the_verdict_is_the_first_paragraph_of_the_page_after_its_title():
-    found = Page(html_text(full_report()))
+def test_the_verdict_is_the_first_thing_on_the_page_after_its_title_with_its_paragraphs():
+    report = Report("Title", "It is so.\n\nBecause of that.")
+    found = Page(html_text(report))
     tags = [tag for tag, _ in found.elements]
     first = next(i for i, tag in enumerate(tags) if tag == "h1")
-    assert tags[first + 1] == "p"
+    assert tags[first + 1 : first + 4] == ["div", "p", "p"]
     assert found.elements[first + 1][1] == {"class": "verdict"}
+    assert "<p>It is so.</p>\n<p>Because of that.</p>" in html_text(report)
 
 
 @given(

@@ -51,6 +51,7 @@ OFFSET = Effect(
     (EffectParameter("level", "unit of the input"),),
     "The amplifier of {place} has an offset: it gives a little even when nothing is commanded.",
     "A stop or a reversal: dry friction changes its sign with the motion, an offset does not; a dead zone with the command's.",
+    "acting = u + level",
     _offset,
     Domain.COMMAND,
 )
@@ -60,6 +61,7 @@ DEAD_ZONE = Effect(
     (EffectParameter("half_width", "unit of the input", low=0.0),),
     "The amplifier of {place} has a dead zone: small commands do nothing, and larger ones arrive smaller by as much.",
     "A command that changes its sign: while it keeps one sign a dead zone is an offset.",
+    "acting = u - min(max(u, -half_width), half_width)",
     _dead_zone,
     Domain.COMMAND,
     regular=False,
@@ -72,6 +74,7 @@ SATURATION = Effect(
     (EffectParameter("limit", "unit of the input", low=0.0),),
     "The amplifier of {place} saturates: it gives no more than its limit, whatever is commanded. A limit of 0 is none.",
     "Larger steps of the command: a drift of the resistance acts at every level.",
+    "acting = min(max(u, -limit), limit)",
     _saturation,
     Domain.COMMAND,
     regular=False,
@@ -89,6 +92,7 @@ HEATING = Effect(
     ),
     "The drive of {place} weakens as it warms up: the same command gives less and less, down to a lasting share.",
     "The same run cold and warm: what comes from a radius that changes is the same in both.",
+    "acting = u * (1 - fall * (1 - exp(-t / time)))",
     _heating,
     Domain.TIME,
 )
@@ -99,6 +103,7 @@ GEAR_BACKLASH = Effect(
     (EffectParameter("play", "unit of the input s", low=0.0),),
     "The gear behind {place} has play: after each change of sign the command does nothing until the teeth meet again.",
     "Changes of the command's sign, slow and fast: a dead zone loses the same at every small command, play only after a change.",
+    "acting = u - (m - before) / dt, m = min(max(before + u * dt, -play / 2), play / 2)",
     _gear_backlash,
     Domain.COMMAND,
     regular=False,
@@ -112,6 +117,7 @@ INPUT_DELAY = Effect(
     (EffectParameter("time", "s", low=0.0),),
     "The command of {place} arrives late: a dead time between the logged value and the machine.",
     "A fast binary command and a measured speed: a lag of one sensor shows in that sensor only.",
+    "acting(t) = u(t - time)",
     _input_delay,
     Domain.SHIFT,
     regular=False,
@@ -136,6 +142,7 @@ class Actuator(Port):
 
     unit: str
     family = "actuator"
+    symbols = "acting: what arrives at the machine; u: the logged command; before: m a sample earlier, dt: the sample time"
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in the input's own unit."""

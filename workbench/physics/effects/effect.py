@@ -82,6 +82,7 @@ class Effect:
     law: the equation; what it takes and returns is fixed by the family (its file says so).
     sentence: the cause in a technician's words; {place} is filled in.
     separates: what separates it from its look-alikes.
+    equation: the law as text, in the names of the parameters and the symbols of the port; with "^" for powers it can be computed.
     domain: what it is drawn over.
     regular: the response is smooth in the sizes at 0; otherwise `grid` holds finite sizes to try, in grid_unit.
     phase: the sizes (cosine, sine) hold a phase that differs from record to record; their amplitude does not.
@@ -94,6 +95,7 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     sentence: str
     separates: str
+    equation: str
     law: Callable
     domain: Domain
     regular: bool = True
@@ -123,6 +125,7 @@ class Port:
 
     place: str
     family = ""
+    symbols = ""  # of the equations of its effects, with their signs
 
     def fits(self, effect: Effect) -> bool:
         """Whether an effect of the family makes sense at this port."""
@@ -132,6 +135,10 @@ class Port:
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """A parameter of an effect as it reads at this port."""
         return parameter
+
+    def worded(self, effect: Effect) -> Effect:
+        """An effect whose texts are those of this port."""
+        return effect
 
 
 FOREVER = 1e9  # s: after a hold of this length nothing moves any more

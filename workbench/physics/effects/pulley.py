@@ -17,6 +17,7 @@ SLIP = Effect(
     (EffectParameter("creep", "m/s/N", low=0.0),),
     "The web slips on {place}: it runs ahead of the surface in proportion to the difference of the tensions.",
     "Steps of the tension difference at constant speed: a sensor lag scales with the rate, slip with the difference.",
+    "slip = creep * (T2 - T1)",
     _slip,
     Domain.LOAD,
 )
@@ -29,6 +30,7 @@ class Pulley(Port):
     """Port for the contact between a web and a pulley."""
 
     family = "pulley"
+    symbols = "slip: by how much the web runs faster than the surface; T1, T2: tensions before and behind the pulley"
 
     def verbs(self, effects, context) -> dict:
         """creep(): web speed relative to the surface per newton of tension difference [m/s/N]."""

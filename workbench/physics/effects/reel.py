@@ -20,6 +20,7 @@ ECCENTRICITY = Effect(
     (EffectParameter("cosine", "m"), EffectParameter("sine", "m")),
     "The reel at {place} runs out of round: its radius changes once per turn.",
     "Two speeds: the disturbance of an eccentric reel grows with speed, that of an imbalance does not.",
+    "deviation = cosine * cos(phi) + sine * sin(phi)",
     _eccentricity,
     Domain.ANGLE,
     phase=True,
@@ -34,6 +35,7 @@ class Reel(Port):
 
     speed: str
     family = "reel"
+    symbols = "deviation: of the radius, positive outwards; phi: angle turned since the start of the record"
 
     def verbs(self, effects, context) -> dict:
         """runout() -> deviation of the radius with .radius [m] and .rate [m/s]."""

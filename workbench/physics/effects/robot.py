@@ -37,6 +37,7 @@ ARM_GRAVITY = Effect(
     (EffectParameter("sine", "N"), EffectParameter("cosine", "N")),
     "The arm pulls {place} out of balance: its weight pushes the platform, with a force that changes with the arm's angle.",
     "Move the arm with the platform held: a tilt or a cable pulls with the same force at every arm angle, friction with none.",
+    "force = -(sine * sin(arm) + cosine * cos(arm))",
     _arm_gravity,
     Domain.ANGLE,
 )
@@ -46,6 +47,7 @@ RAIL_TILT = Effect(
     (EffectParameter("level", "N"),),
     "The platform on {place} is pulled one way: the rail is tilted or a cable pulls, with the same force everywhere.",
     "Motion both ways and a stop: dry friction changes its sign with the motion; an offset of the drive looks the same.",
+    "force = -level",
     _rail_tilt,
     Domain.SPEED,
 )
@@ -62,6 +64,7 @@ PLATFORM_MASS = Effect(
     ),
     "The platform on {place} is heavier or lighter than thought, or becomes so while it runs: electrode systems come and go.",
     "Runs with and without load, compared: a constant change alone looks like a wrong mass in the data sheet.",
+    "mass = m * (1 + change + swing * sin(2 * pi * t / period))",
     _platform_mass,
     Domain.TIME,
 )
@@ -71,6 +74,7 @@ ARM_REACTION = Effect(
     (EffectParameter("coefficient", "N s/rad"),),
     "The moving arm pushes back on {place}: a force in proportion to how fast the arm swings.",
     "Swing the arm slowly and fast through the same angles: its weight pulls with the angle alone, however fast it swings.",
+    "force = -coefficient * arm'",
     _arm_reaction,
     Domain.SPEED,
 )
@@ -84,6 +88,9 @@ class Robot(Port):
 
     arm: str
     family = "robot"
+    symbols = (
+        "force: on the platform, positive in the direction of positive speed; arm: angle of the arm; m: mass of the data sheet"
+    )
 
     def verbs(self, effects, context) -> dict:
         """force(): all effects' forces on the platform [N]; mass(m): the platform's mass m as they change it [kg]."""

@@ -78,6 +78,7 @@ BACKLASH = Effect(
     (EffectParameter("half_width", "unit of the output", low=0.0),),
     "Play in the linkage of the sensor of {place}: after a reversal it stands still until the play is taken up.",
     "A triangle at two rates: a lag grows with the rate, play does not.",
+    "reading = max(z - half_width, min(z + half_width, before))",
     _backlash,
     Domain.LEVEL,
     regular=False,
@@ -91,6 +92,7 @@ SENSOR_LAG = Effect(
     (EffectParameter("time", "s", low=0.0),),
     "The sensor of {place} is slow: it follows the quantity with a first-order lag.",
     "Only this channel is late, and in proportion to its rate of change; backlash does not scale with the rate.",
+    "time * reading' = z - reading",
     _lag,
     Domain.SHIFT,
     regular=False,
@@ -107,6 +109,7 @@ SENSOR_RESONANCE = Effect(
     ),
     "The sensor of {place} swings: it overshoots and rings at a frequency of its own, 1/time in rad/s.",
     "Excitation near that frequency: a lag only falls off there, a resonance rises first.",
+    "time^2 * reading'' + 2 * damping * time * reading' + reading = z",
     _resonance,
     Domain.SHIFT,
     regular=False,
@@ -124,6 +127,7 @@ SENSOR_NONLINEARITY = Effect(
     ),
     "The characteristic of the sensor of {place} is bent: its gain is not the same at every level.",
     "A series of known loads at rest: a web that stiffens with tension changes the oscillation, not the reading at rest.",
+    "reading = z + curvature * (z - centre)^2",
     _nonlinearity,
     Domain.LEVEL,
 )
@@ -133,6 +137,7 @@ SENSOR_GAIN = Effect(
     (EffectParameter("error", "1", low=-0.9, high=10.0),),
     "The sensor of {place} is wrongly scaled: its reading is off by the same share at every level.",
     "A known quantity from outside (a weight, a tape measure, a hand tachometer): parameters of the machine can absorb a gain.",
+    "reading = z * (1 + error)",
     _gain,
     Domain.LEVEL,
 )
@@ -142,6 +147,7 @@ SENSOR_BIAS = Effect(
     (EffectParameter("level", "unit of the output"),),
     "The sensor of {place} has a wrong zero: its reading is off by the same amount at every level.",
     "The reading with no load or at a stop: an offset of an amplifier moves the machine, a bias only the reading.",
+    "reading = z + level",
     _bias,
     Domain.LEVEL,
 )
@@ -151,6 +157,7 @@ QUANTISATION = Effect(
     (EffectParameter("step", "unit of the output", low=0.0),),
     "The converter or encoder of {place} is coarse: its reading moves in steps.",
     "The list of values that occur: noise takes any value, a converter only whole steps.",
+    "reading = step * floor(z / step + 1 / 2)",
     _quantisation,
     Domain.LEVEL,
     regular=False,
@@ -167,6 +174,7 @@ class Sensor(Port):
 
     unit: str
     family = "sensor"
+    symbols = "z: what there is; reading: what is logged; before: the reading just before"
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in the output's own unit."""

@@ -61,7 +61,8 @@ COULOMB = Effect(
     "shaft",
     (EffectParameter("level", "N m", low=0.0), _width()),
     "Dry friction at {place}: a constant torque against the direction of motion.",
-    "A stop or a reversal: while the shaft turns one way it looks like an amplifier offset or a dead zone.",
+    "A stop or a reversal: as long as it moves one way it looks like an amplifier offset or a dead zone.",
+    "torque = -level * tanh(v / width)",
     _coulomb,
     Domain.SPEED,
 )
@@ -73,8 +74,9 @@ STRIBECK = Effect(
         EffectParameter("speed", "rad/s", low=1e-6, high=1e6, default=10.0, shape=True, grid=(2.0, 5.0, 10.0, 20.0, 50.0)),
         _width(),
     ),
-    "The bearing at {place} sticks at low speed: dry friction that is largest near standstill and fades as the shaft speeds up.",
+    "The bearing at {place} sticks at low speed: dry friction that is largest near standstill and fades at speed.",
     "A slow staircase of speeds from rest: dry friction is the same at every speed, this one is gone at the faster steps.",
+    "torque = -level * exp(-(v / speed)^2) * tanh(v / width)",
     _stribeck,
     Domain.SPEED,
 )
@@ -85,6 +87,7 @@ ASYMMETRIC_FRICTION = Effect(
     (EffectParameter("forward", "N m", low=0.0), EffectParameter("backward", "N m", low=0.0), _width()),
     "Dry friction at {place} that differs between the two directions of motion: one level forward, another backward.",
     "Motion both ways and stops: an offset also pushes at rest, a tilt too; one way only, it looks like plain dry friction.",
+    "torque = -(forward * (1 + s) + backward * (1 - s)) * s / 2, s = tanh(v / width)",
     _asymmetric_friction,
     Domain.SPEED,
 )
@@ -94,6 +97,7 @@ QUADRATIC_FRICTION = Effect(
     (EffectParameter("coefficient", "N m s^2/rad^2", low=0.0),),
     "Air drag at {place}: friction that grows with the square of the speed.",
     "Three speeds or more, far apart: viscous friction alone gives a straight line of torque over speed.",
+    "torque = -coefficient * v * abs(v)",
     _quadratic_friction,
     Domain.SPEED,
 )
@@ -103,6 +107,7 @@ LOAD_FRICTION = Effect(
     (EffectParameter("coefficient", "1", low=0.0, high=10.0), _width()),
     "The bearing at {place} rubs more under load: dry friction in proportion to the load.",
     "Steps of the tension at constant speed: plain dry friction stays the same, a wrong motor constant nearly does the same.",
+    "torque = -coefficient * abs(load) * tanh(v / width)",
     _load_friction,
     Domain.LOAD,
 )
@@ -112,6 +117,7 @@ IMBALANCE = Effect(
     (EffectParameter("cosine", "N m"), EffectParameter("sine", "N m")),
     "What turns at {place} is out of balance: its weight pulls once per turn.",
     "Two speeds: the torque of an imbalance is the same at both, the disturbance of an eccentric reel grows with speed.",
+    "torque = cosine * cos(phi) + sine * sin(phi)",
     _imbalance,
     Domain.ANGLE,
     phase=True,
@@ -128,6 +134,7 @@ TORQUE_RIPPLE = Effect(
     ),
     "The torque at {place} ripples a whole number of times per turn: poles or slots of the motor, teeth, rollers.",
     "A ramp of the speed: a ripple keeps its number per turn, a disturbance of fixed frequency does not; a false order folds.",
+    "torque = cosine * cos(order * phi) + sine * sin(order * phi)",
     _torque_ripple,
     Domain.ANGLE,
     phase=True,
@@ -138,6 +145,7 @@ FRICTION_JUMP = Effect(
     (EffectParameter("level", "N m", low=0.0), _width(), jump_time()),
     "Dry friction at {place} sets in during the record: from one moment on a constant torque acts against the motion.",
     "The same run again: a jump has a date, warming up or a winding radius changes gradually.",
+    "torque = -level * tanh(v / width) * step(t - time)",
     _friction_jump,
     Domain.TIME,
 )
@@ -157,6 +165,10 @@ class Shaft(Port):
     speed: str
     loaded: bool = False
     family = "shaft"
+    symbols = (
+        "torque: positive in the direction of positive speed; v: speed; phi: angle turned since the start of the record; "
+        "load: as the plant's equation gives it; step: 0 before, 1 after, half way at 0"
+    )
 
     def fits(self, effect: Effect) -> bool:
         """All, but for friction in proportion to a load that the equation does not give."""
@@ -191,7 +203,16 @@ class Slide(Shaft):
     round, and a ripple counts its teeth.
     """
 
+    symbols = (
+        "force: positive in the direction of positive speed; v: speed; phi: angle of the wheel or screw since the start of "
+        "the record; load: as the plant's equation gives it; step: 0 before, 1 after, half way at 0"
+    )
     travel: float = field("", unit="m/rad", low=1e-9, default=0.01)
+
+    def worded(self, effect: Effect) -> Effect:
+        """The effect with a force for every torque."""
+        texts = {name: getattr(effect, name).replace("torque", "force") for name in ("sentence", "separates", "equation")}
+        return replace(effect, **{name: text.replace("Torque", "Force") for name, text in texts.items()})
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in N for N m and m for rad; bounds, default and grid are scaled where it is a speed."""

@@ -36,6 +36,7 @@ NONLINEAR_ELASTICITY = Effect(
     (EffectParameter("change", "1", low=-0.9, high=0.9),),
     "The web in {place} is stiffer or softer at higher tension: its stiffness changes with the tension in it.",
     "Small steps at two levels of the tension: a bent characteristic of the sensor changes the reading, not the oscillation.",
+    "T' = k * e + change * (T - rest) / rest * k * e",
     _nonlinear_elasticity,
     Domain.TENSION,
 )
@@ -48,6 +49,7 @@ VISCOELASTIC = Effect(
     ),
     "The web in {place} creeps: after a step of the stretch part of the tension dies away with a time constant.",
     "Steps that are then held: damping acts only while the web is stretched, slip as long as the tensions differ.",
+    "T' = k * e + x', x' = share * k * e - x / time",
     _viscoelastic,
     Domain.TIME,
     state=True,
@@ -62,6 +64,7 @@ PERIODIC_TENSION = Effect(
     ),
     "Something shakes the web in {place} at a fixed frequency, whatever the speed of the machine.",
     "Two speeds: an eccentric reel or an imbalance shakes once per turn and changes its frequency with the speed.",
+    "T' = k * e + cosine * cos(2 * pi * frequency * t) + sine * sin(2 * pi * frequency * t)",
     _periodic_tension,
     Domain.TIME,
     phase=True,
@@ -72,6 +75,7 @@ STIFFNESS_JUMP = Effect(
     (EffectParameter("change", "1", low=-0.9, high=10.0), jump_time()),
     "The web in {place} changes its stiffness during the record: another material, a splice, a change of temperature.",
     "The same run again: a jump has a date, a stiffness that depends on tension or speed comes back with them.",
+    "T' = k * e + change * step(t - time) * k * e",
     _stiffness_jump,
     Domain.TIME,
 )
@@ -85,6 +89,10 @@ class Span(Port):
 
     tension: str
     family = "span"
+    symbols = (
+        "T: tension; k: stiffness; e: speed at which the ends draw apart; rest: tension at which k is right; "
+        "step: 0 before, 1 after, half way at 0"
+    )
 
     def verbs(self, effects, context) -> dict:
         """rate(stretch, stiffness, rest): what all effects add to T' = stiffness * stretch [N/s]; see the module."""

@@ -21,6 +21,7 @@ AIR_ENTRAINMENT = Effect(
     ),
     "Air is wound in at {place}: the faster it runs, the thicker each layer, and the reel grows faster than the tape is thick.",
     "The same length wound at two speeds: a wrong tape thickness gives the same radius both times.",
+    "thickness = s * (1 + share * v / speed)",
     _air_entrainment,
     Domain.SPEED,
 )
@@ -33,6 +34,7 @@ class Winding(Port):
     """Port for the layers that a reel winds up."""
 
     family = "winding"
+    symbols = "thickness: of a layer on the reel; s: that of the tape; v: surface speed"
 
     def verbs(self, effects, context) -> dict:
         """thickness(s, v): thickness of a layer of tape s [m] wound at surface speed v [m/s], as the effects change it."""

@@ -71,7 +71,7 @@ def parameters(estimates: Sequence[ParameterEstimate]) -> Picture:
 
 
 def missing(title: str, over: Channel, what: Trace, x: np.ndarray, deviation: np.ndarray, after: np.ndarray) -> Picture:
-    """What was missing over what it depends on: measured points (n) with two standard deviations, simulated before (0) and after.
+    """What was missing over what it depends on: points (n) with two standard deviations, and simulations without (0) and with it.
 
     what: the channel and the measured means; x, deviation, after (n), in the order of x or not.
     """
@@ -86,14 +86,14 @@ def missing(title: str, over: Channel, what: Trace, x: np.ndarray, deviation: np
         line = canvas.line(axes, x, after, SERIES[1], "after", width=1.6)
         axes.set_xlabel(canvas.label(over))
         axes.set_ylabel(canvas.label(what.channel))
-        canvas.legend(figure, [points, before, line], ["measured", "simulated before", "simulated after"])
+        canvas.legend(figure, [points, before, line], ["measured", "without the effect", "with the effect"])
         svg = canvas.render(figure)
     columns = (
         Column(over.name, x, over.unit),
         Column(f"{what.channel.name} measured", y, what.channel.unit),
         Column("standard deviation", deviation, what.channel.unit),
-        Column("simulated before", np.zeros(len(x)), what.channel.unit),
-        Column("simulated after", after, what.channel.unit),
+        Column("without the effect", np.zeros(len(x)), what.channel.unit),
+        Column("with the effect", after, what.channel.unit),
     )
     return Picture(
         title,
@@ -101,7 +101,7 @@ def missing(title: str, over: Channel, what: Trace, x: np.ndarray, deviation: np
         f"Over {over.name}: {what.channel.name}. Points: what the records ask for, means with two standard "
         "deviations (partial residuals); lines: the simulation without the effect, and with it.",
         Data(title, columns),
-        f"Chart of {what.channel.name} over {over.name}: {len(x)} measured points, simulated before and after",
+        f"Chart of {what.channel.name} over {over.name}: {len(x)} measured points, simulated without the effect and with it",
     )
 
 
