@@ -256,14 +256,15 @@ def _step(
     finals += [(settled(t, sizes, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
     finals.sort(key=lambda pair: pair[0].bic)
     worthy = [(m, score) for m, score in finals if _worthy(model, m, score.key, steps, most)]
-    finals = [(m, score) for m, score in worthy if left_out(model, m).holds]
-    if not finals:
+    held = [(m, score) for m, score in worthy if left_out(model, m).holds]
+    if not held:
         return next((_local(model, m, score.key) for m, score in worthy if model.bic - m.bic > LOCAL), None)
-    best, score = finals[0]
-    rivals = {s.key: m.bic - best.bic for m, s in finals[1:]}
+    best, score = held[0]
+    # what left-out records speak against by a hair may still be the truth
+    rivals = {s.key: m.bic - best.bic for m, s in worthy if s.key != score.key}
     rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
-        score.key, model, best, score, rivals, model.bic - best.bic, stability(best, score.key), _closest(finals, score.key)
+        score.key, model, best, score, rivals, model.bic - best.bic, stability(best, score.key), _closest(worthy, score.key)
     )
 
 
@@ -338,11 +339,10 @@ def _swapped(steps: list[Step], sizes: np.ndarray, most: float) -> list[Step]:
             found = _screened(less, rivals, sizes)
             near = [pair for pair in refits(less, found, sizes) if pair[0].bic < model.bic + SWAP] if found else []
             tried = [(settled(trial, sizes, model.predictor.noise), score) for trial, score in near]
-            worthy = [(m, score) for m, score in tried if _worthy(less, m, score.key, others, most)]
-            finals += [(m, score) for m, score in worthy if left_out(less, m).holds]
+            finals += [(m, score) for m, score in tried if _worthy(less, m, score.key, others, most)]
         finals.sort(key=lambda pair: pair[0].bic)
-        model, score = finals[0]
-        gaps = {s.key: m.bic - model.bic for m, s in finals[1:]}
+        model, score = next((m, s) for m, s in finals if s.key == step.key or left_out(less, m).holds)
+        gaps = {s.key: m.bic - model.bic for m, s in finals if s.key != score.key}
         steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(finals, score.key))
     steps[-1] = replace(steps[-1], after=model)
     return steps
