@@ -35,6 +35,7 @@ from workbench.simulate import Scenario, simulate
 ENOUGH = 10.0  # gap in BIC from which rivals are no tie
 SURE = 0.9  # probability of that from which an experiment is recommended
 MOST = 8  # runs of one template
+RARE = 0.03  # probability of a rival up to which nobody asks what a run would show if it were true
 TRIED = 3  # templates that are looked at with other shapes
 FACTORS = (0.05, 0.3, 3.0, 20.0)  # of a shape, where it is held otherwise
 RAN_AWAY = 1e6  # whitened error of a model that does not follow the run at all
@@ -119,42 +120,74 @@ class Mimicry:
         return min(way.gain(runs) + float(more) for way, more in zip(self.ways, self.excess, strict=True))
 
 
+@record
+class Prospect:
+    """What a run should do to a tie with a gap in BIC: `forth` if the cause is true, `back` if its rival is.
+
+    back is None where the rival is too unlikely to be looked at (RARE): then it is taken to show nothing.
+    """
+
+    gap: float
+    forth: Mimicry
+    back: Mimicry | None
+
+    def gains(self, runs: int) -> tuple[float, float]:
+        return self.forth.gain(runs), self.back.gain(runs) if self.back else 0.0
+
+    def expected(self, runs: int) -> float:
+        """Mean of lambda over the odds."""
+        odds = odds_of(self.gap)
+        return float(np.dot((odds, 1.0 - odds), self.gains(runs)))
+
+    @property
+    def runs(self) -> int | None:
+        """The fewest runs that are SURE to resolve the tie, None where MOST are not."""
+        return next((n for n in range(1, MOST + 1) if resolved(self.gap, *self.gains(n)) >= SURE), None)
+
+
 def deciding(
     model: Model, rival: Model, names: tuple[str, str], templates: Sequence[Template], separates: str
 ) -> Recommended | None:
     """The template, and how many runs of it, that tell the cause in `model` from that in `rival` in the shortest time.
 
     Where none is SURE to, what else could (`separates`). None without a template that the plant can run. `expected` is lambda of
-    one run, if the cause is true or if the rival is, whichever is less.
+    one run, its mean over the odds.
     """
-    gap, expected, promising = rival.bic - model.bic, {}, []
+    expected, promising = {}, []
     for template in templates:
         try:
-            forth, back = mimicry(model, [rival], template), mimicry(rival, [model], template)
+            found = prospect([model], [rival], template)
         except InputError:
             continue  # a run that the plant cannot make with these parameters
-        expected[template.name] = min(forth.gain(1), back.gain(1))
-        if runs := _runs(gap, forth, back):
-            promising.append((runs * len(template), template))
+        expected[template.name] = found.expected(1)
+        if found.runs:
+            promising.append((found.runs * len(template), template))
     if not expected:
         return None
     (own, other), dt = names, model.predictor.plant.dt
-    both = [otherwise(m, key) for m, key in ((model, own), (rival, other))] if promising else []
+    likely = 1.0 - odds_of(rival.bic - model.bic) > RARE
+    ways = (otherwise(model, own) if likely else [model], otherwise(rival, other)) if promising else ([model], [rival])
     for _, template in sorted(promising, key=lambda pair: pair[0])[:TRIED]:
-        forth, back = mimicry(model, both[1], template), mimicry(rival, both[0], template)
-        if runs := _runs(gap, forth, back):
+        found = prospect(*ways, template)
+        if found.runs:
             sentence = (
-                f"{own} and {other} explain these records alike; {'one run' if runs == 1 else f'{runs} runs'} of "
-                f"{template.name!r} would decide (expected evidence {min(forth.gain(runs), back.gain(runs)):.0f}, "
-                f"{ENOUGH:.0f} is enough)"
+                f"{own} and {other} explain these records alike; {'one run' if found.runs == 1 else f'{found.runs} runs'} of "
+                f"{template.name!r} would decide (expected evidence {found.expected(found.runs):.0f}, {ENOUGH:.0f} is enough)"
             )
-            return Recommended(sentence, dict(template.references), dt, expected, runs)
+            return Recommended(sentence, dict(template.references), dt, expected, found.runs)
     return Recommended(f"no experiment of the plan tells {own} from {other}. {separates}", {}, dt, expected)
 
 
-def _runs(gap: float, forth: Mimicry, back: Mimicry) -> int | None:
-    """The fewest runs that are SURE to resolve a tie, None where MOST are not."""
-    return next((n for n in range(1, MOST + 1) if resolved(gap, forth.gain(n), back.gain(n)) >= SURE), None)
+def prospect(own: Sequence[Model], other: Sequence[Model], template: Template) -> Prospect:
+    """See Prospect; a model as it was fitted, and otherwise. Raises InputError where the plant cannot make the run."""
+    gap = other[0].bic - own[0].bic
+    back = mimicry(other[0], own, template) if 1.0 - odds_of(gap) > RARE else None
+    return Prospect(gap, mimicry(own[0], other, template), back)
+
+
+def odds_of(gap: float) -> float:
+    """Probability of a cause whose rival lies behind by a gap in BIC."""
+    return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gap, -50.0, 50.0))))
 
 
 def otherwise(model: Model, key: str) -> list[Model]:
@@ -192,9 +225,8 @@ def mimicry(true: Model, ways: Sequence[Model], template: Template) -> Mimicry:
 
 def resolved(gap: float, forth: float, back: float) -> float:
     """Probability that a tie of this gap is none afterwards: lambda is `forth` if the cause is true, `back` if its rival is."""
-    odds = 1.0 / (1.0 + np.exp(-0.5 * np.clip(gap, -50.0, 50.0)))
     sure = [ndtr((gain + side - ENOUGH) / (2.0 * np.sqrt(max(gain, 1e-12)))) for gain, side in ((forth, gap), (back, -gap))]
-    return float(odds * sure[0] + (1.0 - odds) * sure[1])
+    return float(np.dot((odds_of(gap), 1.0 - odds_of(gap)), sure))
 
 
 def foreseen(true: Model, rival: Model, run: Experiment) -> Foreseen:
