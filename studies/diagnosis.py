@@ -40,7 +40,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     heard: list[str] = []
     records = read_records(options, chosen.plant, heard.append)
     found = diagnose(
-        chosen.plant, records.own, records.held_out, templates=_templates(options.plant, records.own.dt), progress=progress
+        chosen.plant, records.own, records.held_out, templates=templates_of(options.plant, records.own.dt), progress=progress
     )
     progress("simulating data sheet, recalibrated and extended plant")
     shown_at = stages(chosen.plant, found, records.own, records.held_out or records.own)
@@ -66,7 +66,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     return 0
 
 
-def _templates(name: str, dt: float) -> tuple[Template, ...]:
+def templates_of(name: str, dt: float) -> tuple[Template, ...]:
     """The experiments of a machine's plan as tests to run next; none for a user's own plant or at another sampling time."""
     from studies.experiments import EXPERIMENTS
 

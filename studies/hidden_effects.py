@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from plants import PLANTS
-from studies.diagnosis import _templates as plan_of
+from studies.diagnosis import templates_of
 from studies.hidden_scores import (
     TESTABLE,
     Bin,
@@ -225,7 +225,7 @@ def run_case(seed: int, limits: Limits, configuration: str) -> dict[str, Any]:
 def _diagnosed(drawn: Any) -> Any:
     """The diagnosis of a case; what to measure next is an experiment of the machine's plan, or one of the records once more."""
     plant = PLANTS[drawn.machine]
-    templates = (*plan_of(drawn.machine, plant.dt), *(again(plant, e) for e in drawn.records))
+    templates = (*templates_of(drawn.machine, plant.dt), *(again(plant, e) for e in drawn.records))
     return diagnose(plant, drawn.records, drawn.held_out, templates=templates)
 
 

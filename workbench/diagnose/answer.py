@@ -106,12 +106,16 @@ class Remainder:
 
 @record
 class NextExperiment:
-    """The test that would decide: a sentence, the set-points or inputs by name (N,), and the expected evidence by template."""
+    """The test that would decide: a sentence, the set-points or inputs by name (N,), and the expected evidence by template.
+
+    runs: how often the signals are to be played, each time as a record of its own.
+    """
 
     sentence: str
     signals: Mapping[str, np.ndarray]
     dt: float
     expected: Mapping[str, float]
+    runs: int = 1
 
 
 @record

@@ -82,13 +82,6 @@ def again(plant: Plant, made: Experiment) -> Template:
 
 
 @record
-class Recommended(NextExperiment):
-    """runs: how often the signals are to be played, each time as a record of its own."""
-
-    runs: int = 1
-
-
-@record
 class Foreseen:
     """What a run tells two models apart by, the one true and the other its rival: a Gaussian problem without the run's start.
 
@@ -147,7 +140,7 @@ class Prospect:
 
 def deciding(
     model: Model, rival: Model, names: tuple[str, str], templates: Sequence[Template], separates: str
-) -> Recommended | None:
+) -> NextExperiment | None:
     """The template, and how many runs of it, that tell the cause in `model` from that in `rival` in the shortest time.
 
     Where none is SURE to, what else could (`separates`). None without a template that the plant can run. `expected` is lambda of
@@ -174,8 +167,8 @@ def deciding(
                 f"{own} and {other} explain these records alike; {'one run' if found.runs == 1 else f'{found.runs} runs'} of "
                 f"{template.name!r} would decide (expected evidence {found.expected(found.runs):.0f}, {ENOUGH:.0f} is enough)"
             )
-            return Recommended(sentence, dict(template.references), dt, expected, found.runs)
-    return Recommended(f"no experiment of the plan tells {own} from {other}. {separates}", {}, dt, expected)
+            return NextExperiment(sentence, dict(template.references), dt, expected, found.runs)
+    return NextExperiment(f"no experiment of the plan tells {own} from {other}. {separates}", {}, dt, expected)
 
 
 def prospect(own: Sequence[Model], other: Sequence[Model], template: Template) -> Prospect:
