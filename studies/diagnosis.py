@@ -15,7 +15,7 @@ from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.answer import Cause, Diagnosis, NextExperiment
 from workbench.diagnose.calibrate import trajectories
 from workbench.diagnose.domains import shown
-from workbench.diagnose.experiments import Template
+from workbench.diagnose.experiments import Template, once_more
 from workbench.diagnose.stages import StageError, Stages, stages
 from workbench.files import write_json
 from workbench.physics.extension import extension
@@ -39,9 +39,8 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     chosen = choose_plant(options.plant)
     heard: list[str] = []
     records = read_records(options, chosen.plant, heard.append)
-    found = diagnose(
-        chosen.plant, records.own, records.held_out, templates=templates_of(options.plant, records.own.dt), progress=progress
-    )
+    templates = templates_of(options.plant, chosen.plant, records.own)
+    found = diagnose(chosen.plant, records.own, records.held_out, templates=templates, progress=progress)
     progress("simulating data sheet, recalibrated and extended plant")
     shown_at = stages(chosen.plant, found, records.own, records.held_out or records.own)
     for sentence in sentences(found, records.held_out is not None, shown_at.errors):
@@ -66,15 +65,15 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     return 0
 
 
-def templates_of(name: str, dt: float) -> tuple[Template, ...]:
-    """The experiments of a machine's plan as tests to run next; none for a user's own plant or at another sampling time."""
+def templates_of(name: str, plant: Plant, records: Dataset) -> tuple[Template, ...]:
+    """Tests to run next: the experiments of a machine's plan that are sampled like the records, and each record once more."""
     from studies.experiments import EXPERIMENTS
 
     made = []
     for experiment, plan in EXPERIMENTS.get(name, {}).items():
-        if not plan.effects and abs(plan.controller.dt - dt) < 1e-9 * dt:
+        if not plan.effects and abs(plan.controller.dt - records.dt) < 1e-9 * records.dt:
             made.append(Template(experiment, plan.controller, plan.scenario(0).references))
-    return tuple(made)
+    return (*made, *(once_more(plant, e) for e in records))
 
 
 # ---- files -------------------------------------------------------------------------------------------------------------------
@@ -88,6 +87,7 @@ def to_json(found: Diagnosis, folder: Path, source: dict[str, Any]) -> dict[str,
             "sentence": todo.sentence,
             "file": str(folder / EXPERIMENT_FILE) if todo.signals else None,
             "expected": dict(todo.expected),
+            "runs": todo.runs,
         }
         if todo
         else None,

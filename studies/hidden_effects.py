@@ -40,7 +40,6 @@ from studies.hidden_scores import (
 )
 from workbench.data import Dataset, Experiment
 from workbench.diagnose.diagnosis import diagnose
-from workbench.diagnose.experiments import again
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model
@@ -225,8 +224,7 @@ def run_case(seed: int, limits: Limits, configuration: str) -> dict[str, Any]:
 def _diagnosed(drawn: Any) -> Any:
     """The diagnosis of a case; what to measure next is an experiment of the machine's plan, or one of the records once more."""
     plant = PLANTS[drawn.machine]
-    templates = (*templates_of(drawn.machine, plant.dt), *(again(plant, e) for e in drawn.records))
-    return diagnose(plant, drawn.records, drawn.held_out, templates=templates)
+    return diagnose(plant, drawn.records, drawn.held_out, templates=templates_of(drawn.machine, plant, drawn.records))
 
 
 def _with(records: Dataset, more: Sequence[Experiment]) -> Dataset:

@@ -70,7 +70,7 @@ class Template:
         return simulate(plant, self.controller, scenario, parameters=parameters, effects=_sizes(model)).experiment
 
 
-def again(plant: Plant, made: Experiment) -> Template:
+def once_more(plant: Plant, made: Experiment) -> Template:
     """A measured record made once more, under the loop that it was made in: nobody needs to know that loop.
 
     It follows the record's set-points, and the inputs that no loop commands; without set-points, its inputs.

@@ -15,10 +15,10 @@ from workbench.diagnose.experiments import (
     SURE,
     Mimicry,
     Template,
-    again,
     deciding,
     foreseen,
     mimicry,
+    once_more,
     otherwise,
     resolved,
 )
@@ -203,16 +203,16 @@ def otherwise_steps(model: Model) -> np.ndarray:
 
 def test_a_record_made_once_more_follows_its_set_points_and_is_judged_along_itself():
     (made,) = axis_records(4, records=1)
-    assert list(again(AXIS, made).references) == ["F"]
+    assert list(once_more(AXIS, made).references) == ["F"]
     closed = Experiment.from_arrays(
         "closed", ROBOT.dt, inputs={"u": np.ones(50)}, outputs={"v": np.ones(50)}, schedule={"arm": np.zeros(50)},
         references={"v_set": np.full(50, 2.0)}, units={},
     )  # fmt: skip
-    template = again(ROBOT, closed)
+    template = once_more(ROBOT, closed)
     assert list(template.references) == ["v_set", "arm"]
     assert template.run(rivals()[1]) is closed
     data, true, rival = rivals()
-    once = again(AXIS, data.experiments[0])
+    once = once_more(AXIS, data.experiments[0])
     assert mimicry(true, [rival], once).gain(1) == foreseen(true, rival, data.experiments[0]).gain(1)
 
 
