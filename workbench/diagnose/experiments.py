@@ -36,6 +36,7 @@ ENOUGH = 10.0  # gap in BIC from which rivals are no tie
 SURE = 0.9  # probability of that from which an experiment is recommended
 MOST = 8  # runs of one template
 RARE = 0.03  # probability of a rival up to which nobody asks what a run would show if it were true
+BEYOND = 0.25  # of the span of an output in the records, by which a run may leave it
 TRIED = 3  # templates that are looked at with other shapes
 FACTORS = (0.05, 0.3, 3.0, 20.0)  # of a shape, where it is held otherwise
 RAN_AWAY = 1e6  # whitened error of a model that does not follow the run at all
@@ -143,12 +144,14 @@ def deciding(
 ) -> NextExperiment | None:
     """The template, and how many runs of it, that tell the cause in `model` from that in `rival` in the shortest time.
 
-    Where none is SURE to, what else could (`separates`). None without a template that the plant can run. `expected` is lambda of
-    one run, its mean over the odds.
+    Where none is SURE to, what else could (`separates`). None without a template that the plant can run, or that stays where the
+    machine has been seen. `expected` is lambda of one run, its mean over the odds.
     """
     expected, promising = {}, []
     for template in templates:
         try:
+            if not _within_reach(model, template.run(model)):
+                continue
             found = prospect([model], [rival], template)
         except InputError:
             continue  # a run that the plant cannot make with these parameters
@@ -169,6 +172,18 @@ def deciding(
             )
             return NextExperiment(sentence, dict(template.references), dt, expected, found.runs)
     return NextExperiment(f"no experiment of the plan tells {own} from {other}. {separates}", {}, dt, expected)
+
+
+def _within_reach(model: Model, run: Experiment) -> bool:
+    """Whether a run stays where the records have been, but for BEYOND of that span: there may be a stop where none has been."""
+    for j, name in enumerate(model.predictor.plant.output_names):
+        seen = np.concatenate([r.y[:, j] for r in model.predictor.records])
+        if np.isfinite(seen).any() and name in run.names:
+            low, high = np.nanmin(seen), np.nanmax(seen)
+            room = BEYOND * (high - low)
+            if run[name].min() < low - room or run[name].max() > high + room:
+                return False
+    return True
 
 
 def prospect(own: Sequence[Model], other: Sequence[Model], template: Template) -> Prospect:

@@ -144,7 +144,7 @@ def test_the_shortest_time_that_is_sure_to_decide_is_chosen():
     _, true, rival = rivals(0.7)
     t = AXIS.dt * np.arange(110)
     templates = (
-        Template("long", PLAYER, {"F": steps(1500, 400.0, 3)}),
+        Template("long", PLAYER, {"F": 150.0 * np.sin(3.0 * AXIS.dt * np.arange(1500))}),
         Template("still", PLAYER, {"F": np.zeros(90)}),
         Template("weak", PLAYER, {"F": 100.0 * np.sin(3.0 * t)}),
     )
@@ -223,3 +223,14 @@ def test_a_template_that_the_machine_cannot_run_is_left_out():
     found = deciding(true, rival, (OFFSET, GAIN), (unknown, PUSHES), "")
     assert found is not None
     assert set(found.expected) == {"pushes"}
+
+
+def test_an_experiment_that_would_take_the_axis_where_it_has_never_been_is_not_recommended():
+    """It would decide best of all, into the stop at the end of the way."""
+    data, true, rival = rivals()
+    away = Template("away", PLAYER, {"F": np.full(600, 300.0)})
+    assert foreseen(true, rival, away.run(true)).gain(1) > 30.0
+    assert np.abs(away.run(true)["q"]).max() > 2.0 * max(np.abs(e["q"]).max() for e in data)
+    found = deciding(true, rival, (OFFSET, GAIN), (away, again(AXIS, data.experiments[0])), "")
+    assert found is not None
+    assert set(found.expected) == {"axis 0 once more"}
