@@ -231,6 +231,6 @@ def test_an_experiment_that_would_take_the_axis_where_it_has_never_been_is_not_r
     away = Template("away", PLAYER, {"F": np.full(600, 300.0)})
     assert foreseen(true, rival, away.run(true)).gain(1) > 30.0
     assert np.abs(away.run(true)["q"]).max() > 2.0 * max(np.abs(e["q"]).max() for e in data)
-    found = deciding(true, rival, (OFFSET, GAIN), (away, again(AXIS, data.experiments[0])), "")
+    found = deciding(true, rival, (OFFSET, GAIN), (away, once_more(AXIS, data.experiments[0])), "")
     assert found is not None
     assert set(found.expected) == {"axis 0 once more"}
