@@ -40,6 +40,7 @@ ALPHA = SIGNIFICANT  # family-wise, of the screen and of the remainder where not
 LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
 TIE = 10.0  # BIC within which rivals are a tie
+ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
@@ -261,6 +262,7 @@ def _step(
         return next((_local(model, m, score.key) for m, score in worthy if model.bic - m.bic > LOCAL), None)
     best, score = held[0]
     # what left-out records speak against by a hair may still be the truth
+    worthy = [(m, s) for m, s in worthy if not _only_more(best, score.key, m, s.key)]
     rivals = {s.key: m.bic - best.bic for m, s in worthy if s.key != score.key}
     rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
@@ -342,10 +344,20 @@ def _swapped(steps: list[Step], sizes: np.ndarray, most: float) -> list[Step]:
             finals += [(m, score) for m, score in tried if _worthy(less, m, score.key, others, most)]
         finals.sort(key=lambda pair: pair[0].bic)
         model, score = next((m, s) for m, s in finals if s.key == step.key or left_out(less, m).holds)
+        finals = [(m, s) for m, s in finals if not _only_more(model, score.key, m, s.key)]
         gaps = {s.key: m.bic - model.bic for m, s in finals if s.key != score.key}
         steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(finals, score.key))
     steps[-1] = replace(steps[-1], after=model)
     return steps
+
+
+def _only_more(named: Model, key: str, other: Model, other_key: str) -> bool:
+    """Whether a rival is the named cause with numbers more that the records do not ask for: no other cause, but the same."""
+    slots = {slot.key: slot for slot in named.predictor.plant.slots}
+    own, rival = slots[key], slots[other_key]
+    more = other.numbers - named.numbers
+    included = own.place == rival.place and own.effect.id in rival.effect.includes
+    return included and named.deviance - other.deviance < ASKED_FOR * more
 
 
 def _closest(finals: Sequence[tuple[Model, Score]], key: str) -> Rival | None:

@@ -52,6 +52,14 @@ def test_what_the_axis_lacks_is_named_with_its_size_and_its_gain_on_other_record
     check(diagnose(AXIS, *made), key, name, size)
 
 
+@pytest.mark.parametrize(("backward", "named"), [(30.0, "coulomb"), (34.0, "asymmetric-friction")])
+def test_a_law_with_one_number_more_is_no_rival_unless_the_records_ask_for_that_number(backward, named):
+    """The same in both directions is dry friction; a friction that differs a little includes it and is another cause."""
+    effects = {"asymmetric-friction@slide": {"forward": 30.0, "backward": backward}}
+    found = diagnose(AXIS, axis_records(3, effects, parameters={"M": 100.0, "Fv": 180.0}))
+    assert [(c.effect, c.ties) for c in found.causes] == [(named, {})]
+
+
 @pytest.mark.parametrize(("key", "size"), [("coulomb@slide", {"level": 30.0}), ("sensor-lag@q", {"time": 0.03})])
 def test_what_one_record_shows_and_another_does_not_is_no_cause_but_it_is_said(key, size):
     made = [axis_records(seed, effects, parameters={"M": 100.0, "Fv": 180.0}) for seed, effects in ((3, {}), (9, {key: size}))]

@@ -38,6 +38,21 @@ COMMAND = np.random.default_rng(4).normal(0, 2, 200).round(3)
 FRICTION = ("coulomb", "stribeck", "asymmetric-friction", "quadratic-friction", "load-friction", "friction-jump")
 anything = st.floats(-1e4, 1e4)
 positive = st.floats(1e-3, 1e3)
+#: Numbers for which an effect is the one that it includes.
+SPECIAL = {
+    ("stribeck", "coulomb"): {"level": 3.0, "speed": 1e8},
+    ("asymmetric-friction", "coulomb"): {"forward": 3.0, "backward": 3.0},
+    ("friction-jump", "coulomb"): {"level": 3.0, "time": 0.0},
+}
+
+
+@given(speed=anything, width=positive)
+def test_an_effect_becomes_each_one_that_it_includes(speed, width):
+    assert {(e.id, name) for e in EFFECTS.values() for name in e.includes} == set(SPECIAL)
+    at = {"speed": speed, "angle": 0.0, "load": 0.0, "t": 10.0}
+    for (general, special), numbers in SPECIAL.items():
+        same = law(special, {"level": 3.0, "width": width}, **at)
+        assert law(general, {**numbers, "width": width}, **at) == pytest.approx(same, rel=1e-6, abs=1e-9)
 
 
 @given(speed=anything, load=anything, time=anything, size=st.lists(positive, min_size=2, max_size=2), shape=positive)

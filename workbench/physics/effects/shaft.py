@@ -79,6 +79,7 @@ STRIBECK = Effect(
     "torque = -level * exp(-(v / speed)^2) * tanh(v / width)",
     _stribeck,
     Domain.SPEED,
+    includes=("coulomb",),
 )
 ASYMMETRIC_FRICTION = Effect(
     "asymmetric-friction",
@@ -90,6 +91,7 @@ ASYMMETRIC_FRICTION = Effect(
     "torque = -(forward * (1 + s) + backward * (1 - s)) * s / 2, s = tanh(v / width)",
     _asymmetric_friction,
     Domain.SPEED,
+    includes=("coulomb",),
 )
 QUADRATIC_FRICTION = Effect(
     "quadratic-friction",
@@ -148,6 +150,7 @@ FRICTION_JUMP = Effect(
     "torque = -level * tanh(v / width) * step(t - time)",
     _friction_jump,
     Domain.TIME,
+    includes=("coulomb",),
 )
 
 EFFECTS = (
