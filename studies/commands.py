@@ -1,11 +1,12 @@
 """The commands behind the command line: each reads files, calls the workbench, writes files and says what it found."""
 
+import os
 import sys
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder
 from studies.results import Result, scores_file
@@ -30,12 +31,19 @@ def run(options: Namespace) -> int:
 
 def say(text: str = "") -> None:
     """A result, on standard output."""
-    print(text, flush=True)
+    _print(text, sys.stdout)
 
 
 def progress(text: str) -> None:
     """What is being done, on standard error."""
-    print(f"  {text}", file=sys.stderr, flush=True)
+    _print(f"  {text}", sys.stderr)
+
+
+def _print(text: str, stream: TextIO) -> None:
+    try:
+        print(text, file=stream, flush=True)
+    except BrokenPipeError:  # `| head` has read enough: the files are wanted all the same
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 # ---- simulate -------------------------------------------------------------------------------------------------------
