@@ -33,14 +33,13 @@ def refused(capsys, *words):
 def test_a_reader_of_the_output_who_stops_reading_does_not_stop_the_command(tmp_path):
     """As in `workbench simulate ... | head -1`."""
     words = ("simulate", "welding-robot", "--experiment", "rbs", "steps", "--out", str(tmp_path))
-    run = subprocess.Popen(
-        [sys.executable, "-m", "studies.cli", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert run.stdout
-    assert run.stderr
-    run.stdout.close()
-    said = run.stderr.read()
-    assert run.wait() == 0
+    command = [sys.executable, "-m", "studies.cli", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        assert run.stdout
+        assert run.stderr
+        run.stdout.close()
+        said = run.stderr.read()
+    assert run.returncode == 0
     assert "Traceback" not in said
     assert {path.name for path in tmp_path.glob("*.csv")} == {"rbs.csv", "steps.csv"}
 
