@@ -18,6 +18,7 @@ from workbench.records import record
 
 HORIZONS = ("one-step", "one-second", "full-run")
 SETTLING = 10  # samples at the start of a record that are not counted
+PHASES = 16  # at which a periodic effect is tried on a record
 LANES = 32  # starts a second ahead that run side by side
 
 
@@ -55,13 +56,51 @@ def on(model: Model, dataset: Dataset) -> tuple[Predictor, Point]:
     sizes = np.zeros(len(plant.slots))
     for t in terms:
         sizes[list(t.sizes)] = 1e-3 * np.linalg.norm(point.eta[0][list(t.sizes)])
-    z = unknowns.zero()
-    made = made.regained(unknowns.point(z), model.predictor.noise)
-    for _ in range(2 if terms else 1):
-        fit = gauss_newton(made, unknowns, z, sizes, rounds=2, enough=0.5)
-        z = _of_same_amplitude(unknowns, fit.z)
+    still = _without_periodic(unknowns)
+    made = made.regained(still.point(still.zero()), model.predictor.noise)
+    z = gauss_newton(made, still, still.zero(), sizes, rounds=2, enough=0.5).z
+    made = made.regained(still.point(z))
+    if terms:
+        z = _turned(made, unknowns, np.concatenate([z, unknowns.zero()[len(z) :]]))
+        made = made.regained(unknowns.point(z))
+        z = _of_same_amplitude(unknowns, gauss_newton(made, unknowns, z, sizes, rounds=2, enough=0.5).z)
         made = made.regained(unknowns.point(z))
     return made, unknowns.point(z)
+
+
+def _without_periodic(unknowns: Unknowns) -> Unknowns:
+    """The starts alone, all periodic effects off: what is off at the start hides any phase."""
+    base = unknowns.base.copy()
+    for t in unknowns.terms:
+        base[list(t.sizes)] = 0.0
+    return replace(unknowns, terms=(), base=base)
+
+
+def _turned(made: Predictor, unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
+    """The unknowns with every periodic effect at the phase that suits each record best.
+
+    From a wrong phase a fit makes the amplitude small first, and then any phase will do.
+    """
+    z, angles = z.copy(), 2.0 * np.pi * np.arange(PHASES) / PHASES
+    at = unknowns.size - unknowns.split[2]
+    for t in unknowns.terms:
+        point, amplitude, best = unknowns.point(z), np.linalg.norm(z[at : at + 2]), []
+        for i in range(unknowns.records):
+            eta = np.repeat(point.eta[i][None], PHASES, axis=0)
+            eta[:, list(t.sizes)] = amplitude * np.column_stack([np.cos(angles), np.sin(angles)])
+            cost = (made.errors(i, point.p[None], eta, point.start[i][None]) ** 2).sum(axis=(1, 2))
+            best.append(_lowest(cost, angles))
+        z[at : at + 2] = amplitude * np.array([np.cos(best[0]), np.sin(best[0])])
+        at += t.count(unknowns.records)
+        z[at - unknowns.records + 1 : at] = np.array(best[1:]) - best[0]
+    return z
+
+
+def _lowest(cost: np.ndarray, angles: np.ndarray) -> float:
+    """Where a cost over a full turn is lowest, by its first two harmonics: a squared error has no more."""
+    fine = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    waves = [np.mean(cost * np.exp(-1j * k * angles)) * np.exp(1j * k * fine) for k in (1, 2)]
+    return float(fine[np.argmin(np.real(sum(waves)))])
 
 
 def _of_same_amplitude(unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
