@@ -39,7 +39,8 @@ from workbench.records import record
 ALPHA = SIGNIFICANT  # family-wise, of the screen and of the remainder where nothing is named
 LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
-TIE = 10.0  # BIC within which rivals are a tie
+TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws are idealised
+KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
@@ -99,11 +100,11 @@ def diagnose(
     notes = [str(note) for note in check(plant, dataset)]
     found = _searched(plant, dataset, drift is not False, threads, progress)
     torques = len(found.base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
-    if drift is None and torques and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) and not found.local:
+    if drift is None and torques and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE):
         progress("again, without torques that come and go")
         again = _searched(plant, dataset, False, threads, progress)
-        if again.steps and ahead(found.model, again.model) < 1.0 - LONG_RUN:
-            found = again
+        if again.steps and not _tells(found.local, again) and ahead(found.model, again.model) < 1.0 - LONG_RUN:
+            found = replace(again, local=again.local or found.local)
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
             )
@@ -256,18 +257,60 @@ def _step(
     finals = [(first, trials[0][1])]
     finals += [(settled(t, sizes, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
     finals.sort(key=lambda pair: pair[0].bic)
-    worthy = [(m, score) for m, score in finals if _worthy(model, m, score.key, steps, most)]
-    held = [(m, score) for m, score in worthy if left_out(model, m).holds]
+    worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
+    rest = (pair for pair in trials[1:] if pair[1].key not in near)
+    while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(rest, None)):
+        # what came first holds in some records only: another cause may hold in all
+        near.add(pair[1].key)
+        tried = settled(pair[0], sizes, first.predictor.noise)
+        worthy += [(tried, pair[1])] if _worthy(model, tried, pair[1].key, steps, most) else []
+    held = [(m, s) for m, s in worthy if left_out(model, m).holds]
     if not held:
-        return next((_local(model, m, score.key) for m, score in worthy if model.bic - m.bic > LOCAL), None)
+        told = (_local(model, m, s.key) for m, s in worthy if model.bic - m.bic > LOCAL or s.p_family < LEFT_OVER)
+        return next(told, None)
     best, score = held[0]
-    # what left-out records speak against by a hair may still be the truth
-    worthy = [(m, s) for m, s in worthy if not _only_more(best, score.key, m, s.key)]
-    rivals = {s.key: m.bic - best.bic for m, s in worthy if s.key != score.key}
+    tying = _rivals(model, best, score.key, worthy)
+    rivals = {s.key: m.bic - best.bic for m, s in tying}
     rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
-        score.key, model, best, score, rivals, model.bic - best.bic, stability(best, score.key), _closest(worthy, score.key)
+        score.key,
+        model,
+        best,
+        score,
+        rivals,
+        model.bic - best.bic,
+        stability(best, score.key),
+        _closest(model, best, score.key, tying),
     )
+
+
+def _reach(plant: Plant, key: str, rival: str, gain: float) -> float:
+    """BIC within which a rival ties with a cause of this gain."""
+    slots = {slot.key: slot.effect for slot in plant.slots}
+    one, other = slots[key], slots[rival]
+    # between a law and a special case of it there is no question of form
+    return TIE if one.id in other.includes or other.id in one.includes else max(TIE, IDEAL * gain)
+
+
+def _rivals(before: Model, named: Model, key: str, tried: Sequence[tuple[Model, Score]]) -> list[tuple[Model, Score]]:
+    """Those of the models that may be the truth as well: what left-out records speak against by a hair is among them."""
+    found = []
+    for m, s in tried:
+        if s.key == key or _only_more(named, key, m, s.key):
+            continue
+        elsewhere = left_out(before, m)
+        if elsewhere.holds or (m.bic - named.bic > -TIE and elsewhere.total > -2.0 * elsewhere.error):
+            found.append((m, s))
+    return sorted(found, key=lambda pair: pair[0].bic)
+
+
+def _tells(local: Local | None, again: _Found) -> bool:
+    """Whether what another search names first is what an effect in some records only has told already."""
+    if local is None:
+        return False
+    slots = {slot.key: slot for slot in again.base.predictor.plant.slots}
+    one, other = slots[local.key], slots[again.steps[0].key]
+    return one.place == other.place and one.effect.domain is other.effect.domain
 
 
 def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
@@ -335,36 +378,52 @@ def _swapped(steps: list[Step], sizes: np.ndarray, most: float) -> list[Step]:
     steps, model = list(steps), steps[-1].after
     for j, step in enumerate(steps):
         rivals = [key for key in sorted(step.rivals, key=lambda key: step.rivals[key]) if key not in model.keys][:RIVALS]
-        finals = [(model, step.score)]
-        if rivals:
-            less, others = _without(model, step.key, sizes), steps[:j] + steps[j + 1 :]
-            found = _screened(less, rivals, sizes)
-            near = [pair for pair in refits(less, found, sizes) if pair[0].bic < model.bic + SWAP] if found else []
-            tried = [(settled(trial, sizes, model.predictor.noise), score) for trial, score in near]
-            finals += [(m, score) for m, score in tried if _worthy(less, m, score.key, others, most)]
-        finals.sort(key=lambda pair: pair[0].bic)
-        model, score = next((m, s) for m, s in finals if s.key == step.key or left_out(less, m).holds)
-        finals = [(m, s) for m, s in finals if not _only_more(model, score.key, m, s.key)]
-        gaps = {s.key: m.bic - model.bic for m, s in finals if s.key != score.key}
-        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(finals, score.key))
+        if not rivals:
+            continue
+        less, others = _without(model, step.key, sizes), steps[:j] + steps[j + 1 :]
+        found = _screened(less, rivals, sizes)
+        trials = refits(less, found, sizes) if found else []
+        # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike
+        near = [(m, s) for m, s in trials if m.bic < trials[0][0].bic + SWAP and m.bic < 0.5 * (less.bic + model.bic)]
+        tried = [(settled(m, sizes, model.predictor.noise), s) for m, s in near]
+        finals = [(m, s) for m, s in tried if _worthy(less, m, s.key, others, most)]
+        better = [(m, s) for m, s in finals if m.bic < model.bic and left_out(less, m).holds]
+        finals.append((model, step.score))
+        model, score = min(better, key=lambda pair: pair[0].bic, default=(model, step.score))
+        tying = _rivals(less, model, score.key, finals)
+        gaps = {s.key: m.bic - model.bic for m, s in tying}
+        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(less, model, score.key, tying))
     steps[-1] = replace(steps[-1], after=model)
     return steps
 
 
+def _closest(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> Rival | None:
+    """The best of the rivals that tie."""
+    plant, gain = before.predictor.plant, before.bic - named.bic
+    near = [Rival(s.key, m) for m, s in tying if m.bic - named.bic < _reach(plant, key, s.key, gain)]
+    return near[0] if near else None
+
+
 def _only_more(named: Model, key: str, other: Model, other_key: str) -> bool:
-    """Whether a rival is the named cause with numbers more that the records do not ask for: no other cause, but the same."""
+    """Whether a rival is the named cause with numbers more that the records know and do not ask for: the same, no other cause."""
     slots = {slot.key: slot for slot in named.predictor.plant.slots}
     own, rival = slots[key], slots[other_key]
-    more = other.numbers - named.numbers
-    included = own.place == rival.place and own.effect.id in rival.effect.includes
-    return included and named.deviance - other.deviance < ASKED_FOR * more
+    if own.place != rival.place or own.effect.id not in rival.effect.includes:
+        return False
+    (size, _), (_, deviation) = _term_sizes(named, key), _term_sizes(other, other_key)
+    known = bool(np.all(deviation < KNOWN * np.abs(size).max()))  # friction of a direction in which nothing moved is not
+    return known and named.deviance - other.deviance < ASKED_FOR * (other.numbers - named.numbers)
 
 
-def _closest(finals: Sequence[tuple[Model, Score]], key: str) -> Rival | None:
-    """The best of the finals with another effect than `key`, if it ties with that one."""
-    named = min(model.bic for model, score in finals if score.key == key)
-    ties = [(model.bic, Rival(score.key, model)) for model, score in finals if score.key != key and model.bic - named < TIE]
-    return min(ties, key=lambda pair: pair[0])[1] if ties else None
+def _term_sizes(model: Model, key: str) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of an effect and their standard deviations."""
+    fit, at = model.fit, model.fit.unknowns.size - model.fit.unknowns.split[2]
+    for t in fit.unknowns.terms:
+        if t.key == key:
+            own = slice(at, at + len(t.sizes))
+            return fit.z[own], np.sqrt(np.diag(fit.covariance)[own])
+        at += t.count(fit.unknowns.records)
+    raise KeyError(key)
 
 
 def _pruned(base: Model, steps: list[Step], sizes: np.ndarray) -> list[Step]:
@@ -396,7 +455,7 @@ def _without(model: Model, key: str, sizes: np.ndarray) -> Model:
 def _with_rounding(found: _Found, channels: Sequence[str]) -> Finding:
     """The finding where `channels` are rounded: what is left in their readings only has its name."""
     left = {x.channel for x in found.left if x.p_family < ALPHA}
-    if channels and not found.steps and left <= {label(("sensor", name)) for name in channels}:
+    if channels and not found.steps and not found.local and left <= {label(("sensor", name)) for name in channels}:
         return Finding.NAMED
     return found.finding
 
@@ -420,7 +479,8 @@ def _visible(left: Sequence[Left], model: Model) -> bool:
 def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
     effect, place = step.key.split("@")
     slot = next(s for s in plant.slots if s.key == step.key)
-    near = {key: gap for key, gap in step.rivals.items() if gap < TIE}
+    reach = {key: _reach(plant, step.key, key, step.gain) for key in step.rivals}
+    near = {key: gap * TIE / reach[key] for key, gap in step.rivals.items() if gap < reach[key]}
     weights = {key: float(np.exp(-0.5 * max(gap, 0.0))) for key, gap in near.items()}
     total = 1.0 + sum(weights.values())
     return Cause(

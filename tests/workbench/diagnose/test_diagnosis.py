@@ -12,7 +12,8 @@ from workbench.data import Dataset
 from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import diagnose
-from workbench.simulate import simulate
+from workbench.physics.controller import Playback
+from workbench.simulate import Scenario, simulate
 
 AXIS_CASES = [
     ("coulomb@slide", "level", 30.0),
@@ -60,6 +61,55 @@ def test_a_law_with_one_number_more_is_no_rival_unless_the_records_ask_for_that_
     assert [(c.effect, c.ties) for c in found.causes] == [(named, {})]
 
 
+def stop_and_go(seed, effects) -> Dataset:
+    """Records of the robot that never moves back."""
+    made = []
+    for i in range(2):
+        t, random = ROBOT.dt * np.arange(500), np.random.default_rng(77 * seed + i)
+        levels = np.where(random.random(21) < 0.4, 0.2, random.uniform(0.5, 4.0, 21))
+        course = {"u": np.repeat(levels, 25)[:500], "arm": 1.2 * np.sin(0.7 * t + i)}
+        scenario = Scenario(f"robot {i}", course, seed=2000 * seed + i)
+        made.append(simulate(ROBOT, Playback(("u", "arm"), ROBOT.dt), scenario, effects=effects).experiment)
+    return Dataset(tuple(made))
+
+
+def test_a_direction_in_which_nothing_moved_keeps_the_law_that_tells_it_apart_as_a_rival():
+    (cause,) = diagnose(ROBOT, stop_and_go(4, {"asymmetric-friction@rail": {"forward": 0.6, "backward": 0.2}})).causes
+    assert {"coulomb@rail", "asymmetric-friction@rail"} <= {cause.key, *cause.ties}
+
+
+def test_a_cause_that_holds_everywhere_is_named_beside_one_that_holds_in_a_single_record():
+    everywhere = {"offset@F": {"level": 20.0}}
+    each = [everywhere, everywhere, everywhere | {"coulomb@slide": {"level": 40.0}}]
+    found = diagnose(AXIS, axis_records(3, each))
+    assert found.finding is Finding.INCOMPLETE
+    (cause,) = found.causes
+    assert cause.key == "offset@F"
+    assert cause.parameters["level"].value == pytest.approx(20.0, rel=0.05)
+    assert any("axis 2 only" in note for note in found.notes)
+
+
+def test_a_rounded_channel_does_not_hide_that_one_record_is_odd():
+    made = axis_records(3, [{}, {}, {"coulomb@slide": {"level": 120.0}}], parameters={"M": 100.0, "Fv": 180.0})
+    rounded = [replace(e, values=np.column_stack([e["F"], 1e-3 * np.round(e["q"] / 1e-3)])) for e in made]
+    found = diagnose(AXIS, Dataset(tuple(rounded)))
+    assert found.finding is Finding.UNKNOWN
+    assert [c.effect for c in found.causes] == ["quantisation"]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_of_friction_and_a_tilt_each_is_found_and_the_tilt_ties_with_the_offset_that_it_cannot_be_told_from(seed, monkeypatch):
+    """Friction that differs by direction comes first, for it is both in one, and must give way."""
+    greedy, path = [], diagnosis._Search.path
+    monkeypatch.setattr(diagnosis._Search, "path", lambda search, base: greedy.append(path(search, base)) or greedy[-1])
+    found = diagnose(ROBOT, robot_records(seed, {"coulomb@rail": {"level": 0.3}, "rail-tilt@rail": {"level": 0.3}}))
+    assert greedy[0][0].key == "asymmetric-friction@rail"
+    named = {c.key: c for c in found.causes}
+    assert named["coulomb@rail"].parameters["level"].value == pytest.approx(0.3, rel=0.05)
+    (other,) = (c for c in found.causes if c.effect != "coulomb")
+    assert {"rail-tilt@rail", "offset@u"} <= {other.key, *other.ties}
+
+
 @pytest.mark.parametrize(("key", "size"), [("coulomb@slide", {"level": 30.0}), ("sensor-lag@q", {"time": 0.03})])
 def test_what_one_record_shows_and_another_does_not_is_no_cause_but_it_is_said(key, size):
     made = [axis_records(seed, effects, parameters={"M": 100.0, "Fv": 180.0}) for seed, effects in ((3, {}), (9, {key: size}))]
@@ -105,15 +155,10 @@ def test_what_cannot_be_told_apart_is_said_to_tie():
     assert cause.evidence.posterior + sum(cause.ties.values()) == pytest.approx(1.0)
 
 
-def test_of_two_effects_a_rival_that_came_first_gives_way_to_the_true_cause_and_both_have_their_size(monkeypatch):
+def test_of_two_effects_both_have_their_size():
     """Beside a command that is clipped and not yet named, a late sensor looks like a late command and some play."""
-    greedy, path = [], diagnosis._Search.path
-    monkeypatch.setattr(diagnosis._Search, "path", lambda search, base: greedy.append(path(search, base)) or greedy[-1])
     effects = {"saturation@F": {"limit": 350.0}, "sensor-lag@q": {"time": 0.03}}
     found = diagnose(AXIS, axis_records(3, effects))
-    keys = [step.key for step in greedy[0]]
-    assert keys[0] == "input-delay@F"  # without a swap the lag would not be found
-    assert "sensor-lag@q" not in keys
     assert found.finding is Finding.NAMED
     assert {cause.key for cause in found.causes} == set(effects)
     for cause in found.causes:
