@@ -62,7 +62,7 @@ CLEAR, TRIALS = (100.0, 1600.0), 5  # losses from which a limit is read, how oft
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 600, 30
 CONFUSIONS = 20
-LAYOUT = 2  # of a row: rows of another layout are not counted with these
+LAYOUT = 3  # of a row: rows of another layout are not counted with these
 
 
 @record
@@ -209,6 +209,7 @@ def run_case(seed: int, limits: Limits, configuration: str) -> dict[str, Any]:
         }
         for h in drawn.truth
     ]  # fmt: skip
+    row["resolutions"] = drawn.resolutions
     began = time.process_time()
     try:
         found = _diagnosed(drawn)

@@ -24,6 +24,7 @@ WIDEST_TIE = 3
 SIZES = (0.5, 1.0, 2.0, 4.0, 8.0, 20.0)  # bins of the multiple
 WEIGHTS = (0.0, 0.2, 0.5, 0.8, 0.99, 1.0)  # bins of the stated posterior
 ROUNDED = "quantisation"
+SAME_STEP = 1e-3
 
 
 class Outcome(Enum):
@@ -234,7 +235,14 @@ def resolution(row: Row) -> Resolution | None:
 
 
 def _causes(row: Row) -> Sequence[Mapping[str, Any]]:
-    return row.get("causes", ())
+    """What was named, without the rounding that a sensor has in every record: that is there, and is not what was hidden."""
+    steps = {f"{ROUNDED}@{name}": step for name, step in row.get("resolutions", {}).items()}
+    hidden = {t["key"] for t in row["truth"]}
+    return [c for c in row.get("causes", ()) if c["key"] in hidden or not _is_step(c, steps.get(c["key"]))]
+
+
+def _is_step(cause: Mapping[str, Any], step: float | None) -> bool:
+    return bool(step) and abs(cause["parameters"]["step"][0] / step - 1.0) < SAME_STEP
 
 
 # ---- many rows ----------------------------------------------------------------------------------------------------------------

@@ -209,13 +209,18 @@ def _move(way: float, fastest: float, acceleration: float) -> np.ndarray:
     return np.cumsum(speed) / np.sum(speed)
 
 
+def resolutions(setting: Setting) -> dict[str, float]:
+    """The step to which every sensor rounds, whatever is hidden."""
+    return {"q": setting.resolution}
+
+
 def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], seed: np.random.SeedSequence) -> Outcome:
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
     course = np.ascontiguousarray(programme.signals[:, 0])
     loop = Loop(direct=1.0) if programme.open_loop else setting.loop
     forces = FORCE_NOISE * coloured(draws, (len(course), 1), setting.pole, setting.share)[:, 0]
-    sensor = Sensor(READING, setting.resolution)._replace(**fields_of(Sensor, hidden, "q", phases))
+    sensor = Sensor(READING, resolutions(setting)["q"])._replace(**fields_of(Sensor, hidden, "q", phases))
     shaft = Shaft(breakaway=2e-5)._replace(**fields_of(Shaft, hidden, "slide", phases))
     commands, measured = run(
         setting.machine, shaft, Drive(**fields_of(Drive, hidden, "F", phases)), sensor,

@@ -62,6 +62,11 @@ class Case:
         """The machine's true parameters."""
         return self.setting.machine._asdict()
 
+    @property
+    def resolutions(self) -> dict[str, float]:
+        """The step to which every sensor rounds, whatever is hidden."""
+        return MACHINES[self.machine].resolutions(self.setting)
+
 
 def draw(seed: int, *, machine: str | None = None, kind: Kind | None = None, limits: Mapping[str, float]) -> Case:
     """The case of a seed; `machine` and `kind` fix what is drawn otherwise and leave all else to the seed.

@@ -217,13 +217,18 @@ def follow(setting: Setting, name: str, references: Mapping[str, np.ndarray]) ->
     return asked(name, references, () if setting.loop == Loop() else ("v_set", "arm"), ("u", "arm"))
 
 
+def resolutions(setting: Setting) -> dict[str, float]:
+    """The step to which every sensor rounds, whatever is hidden."""
+    return {"v": setting.resolution}
+
+
 def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], seed: np.random.SeedSequence) -> Outcome:
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
     course, angle = programme.signals.T
     loop = Loop() if programme.open_loop else setting.loop
     forces = FORCE_NOISE * coloured(draws, (len(course), 1), setting.pole, setting.share)[:, 0]
-    sensor = Sensor(PLANT.noise["v"], setting.resolution)._replace(**fields_of(Sensor, hidden, "v", phases))
+    sensor = Sensor(PLANT.noise["v"], resolutions(setting)["v"])._replace(**fields_of(Sensor, hidden, "v", phases))
     shaft = Shaft(breakaway=2e-4)._replace(**fields_of(Shaft, hidden, "rail", phases))
     commands, measured = run(
         setting.machine, shaft, Drive(**fields_of(Drive, hidden, "u", phases)), sensor,

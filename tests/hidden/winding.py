@@ -396,6 +396,11 @@ def follow(setting: Setting, name: str, references: Mapping[str, np.ndarray]) ->
     return asked(name, references, ("w3_set", "theta_set"))
 
 
+def resolutions(setting: Setting) -> dict[str, float]:
+    """The step to which every sensor rounds, whatever is hidden."""
+    return {name: setting.resolution * PLANT.noise[name] for name in OUTPUTS}
+
+
 def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], seed: np.random.SeedSequence) -> Outcome:
     """One record; its noise and its phases come from the seed alone, whatever is hidden."""
     draws, phases = (np.random.default_rng(s) for s in seed.spawn(2))
@@ -404,8 +409,8 @@ def outcome(setting: Setting, programme: Programme, hidden: tuple[Hidden, ...], 
     volts = coloured(draws, (total, 2), setting.pole, setting.share) * VOLTS
     torques = coloured(draws, (TORQUES * total, 3), setting.pole ** (1 / TORQUES), setting.share) * TORQUE_NOISE
     sensors = tuple(
-        Sensor(PLANT.noise[name], setting.resolution * PLANT.noise[name])._replace(**fields_of(Sensor, hidden, name, phases))
-        for name in OUTPUTS
+        Sensor(PLANT.noise[name], step)._replace(**fields_of(Sensor, hidden, name, phases))
+        for name, step in resolutions(setting).items()
     )
     start, hold = _at_work(m, setting.radii, programme.signals[0, 0])
     commands, measured, lowest = run(

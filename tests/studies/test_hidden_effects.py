@@ -65,6 +65,17 @@ def row(*truth, causes=(), verdict=None, kind=None, machine="welding-robot", see
 # ---- one row ----------------------------------------------------------------------------------------------------------------
 
 
+def test_the_rounding_that_a_sensor_has_in_every_record_is_no_wrong_name_and_no_false_alarm_but_another_one_is():
+    own, other = (named("quantisation@v", step=(step, step, step)) for step in (0.1, 0.2))
+    for cause, wrong in ((own, 0), (other, 1)):
+        nothing = row(causes=[cause]) | {"resolutions": {"v": 0.1}}
+        beside = row(hid(LAG), causes=[named(LAG), cause]) | {"resolutions": {"v": 0.1}}
+        assert summary([nothing]).false_alarms.hits == wrong
+        assert outcome(beside) is (Outcome.BESIDE if wrong else Outcome.RIGHT)
+    truth = row(hid("quantisation@v"), causes=[own]) | {"resolutions": {"v": 0.1}}
+    assert outcome(truth) is Outcome.RIGHT
+
+
 @pytest.mark.parametrize(
     ("causes", "verdict", "expected"),
     [
