@@ -157,9 +157,9 @@ def amplified(drive, gap, u, t, h):
     if drive.heating != 0.0 and t > 0.0:
         u *= 1.0 - drive.heating * (1.0 - np.exp(-t / drive.heating_time))
     if drive.gear_backlash > 0.0:
+        before = gap
         gap = min(max(gap + 2.0 * u * h / drive.gear_backlash, -1.0), 1.0)
-        if abs(gap) < 1.0:
-            u = 0.0
+        u -= 0.5 * drive.gear_backlash * (gap - before) / h  # nothing is passed on until the flanks touch
     return u, gap
 
 

@@ -224,7 +224,8 @@ def test_a_gear_loses_its_play_once_a_reversal():
     for _ in range(100):
         u, gap = parts.amplified(drive, gap, -2.0, 0.0, h)
         acting.append(u)
-    assert h * (200.0 + np.sum(acting)) == pytest.approx(0.04, abs=2 * h)
+    assert h * (200.0 + np.sum(acting)) == pytest.approx(0.04, rel=1e-9)
+    assert acting[5] == pytest.approx(0.0, abs=1e-9)
     assert acting[-1] == -2.0
 
 
