@@ -230,6 +230,31 @@ def test_time_in_another_unit_under_the_header_of_seconds_is_refused_before_anyt
     assert f"multiply the time column by {mend} " in reason.mend
 
 
+@pytest.mark.parametrize(
+    ("factor", "question", "mend"),
+    [
+        (1 / 60, "is its time in min?", "60"),
+        (1.015 / 60, "is its time in min?", "60"),
+        (60.0, "was its time in s, and taken for min?", "0.0166667"),
+        (59.0, "was its time in s, and taken for min?", "0.0166667"),
+        (3600.0, "was its time in s, and taken for h?", "0.000277778"),
+    ],
+)
+@pytest.mark.parametrize("plant", [ROBOT, AXIS], ids=["robot", "axis"])
+def test_minutes_and_hours_are_refused_before_a_channel_is_taken_for_another_unit(plant, factor, question, mend):
+    """Sixty times faster a force of newtons moves what it would move in thousands: kN was said, and was an all-clear."""
+    e = drawn(plant, "prbs")
+    reason = refused(plant, replace(e, t=e.t * factor, dt=e.dt * factor))
+    assert (reason.file, reason.channel) == (e.name, "t")
+    assert reason.problem.endswith(question)
+    assert f"multiply the time column by {mend} " in reason.mend
+
+
+@pytest.mark.parametrize("times", [1 / 100, 1 / 63, 1 / 57, 57.0, 63.0, 250.0])
+def test_a_sample_time_near_none_of_these_is_taken_as_it_is(times):
+    assert AXIS.sampled(times * AXIS.dt).dt == times * AXIS.dt
+
+
 def test_a_slow_or_fast_logger_is_no_other_unit_of_time():
     e = drawn(ROBOT, "prbs")
     for every in (e.dt / 10, 5 * e.dt):
