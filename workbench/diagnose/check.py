@@ -9,6 +9,9 @@ a channel into another, upside down, or makes it 9.55 times as large while it fo
 Every slip is a guess that is tried: an input that is mended gives another run, an output that is mended another record, and the
 guess that brings the two closest is said. Where one input moves one output nothing tells which of them is wrong but the noise: a
 reading in another unit brings its noise along.
+
+A reversed sign and a known unit are refused. A factor of no known unit is a note: an amplifier that saturates, a dead zone or
+much friction make an input look too large. So is an input without which the plant follows a record as well as with any mend.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,6 +33,7 @@ MOVES = 2.0  # a channel whose spread around a line is less than so many standar
 STUCK = 0.5  # share of samples at one end of its range that makes a channel useless
 NEAR = 0.25  # a ratio of spreads is a unit's factor f if it is within f**NEAR of it
 BETTER = 0.5  # share of the distance that an input which is mended must take off
+EATEN = (0.5, 0.7, 0.8, 0.9, 0.95)  # quantiles of an input that a dead zone may be as wide as
 TOLD = 0.05  # difference of two distances below which neither is closer
 TENS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)  # factors of a size for which no unit is known
 APART = 6.0  # units closer to each other than this factor are not told by size
@@ -172,6 +176,7 @@ class Slip:
     looks: str
     mend: str
     factor: float = field("", default=1.0)  # what mends them is multiplied by
+    sure: bool = True  # no missing physics looks like it
 
     def __str__(self) -> str:
         return f"{' and '.join(self.channels)} {'looks' if len(self.channels) == 1 else 'look'} {self.looks}"
@@ -201,6 +206,18 @@ class Compared:
     channels: tuple[Channel, ...]
     y: np.ndarray = field("N n")
     z: np.ndarray = field("N n")
+
+    @property
+    def counted(self) -> tuple[int, ...]:
+        """Outputs that tell whether the plant explains a record: a reel's radius grows whatever turns it."""
+        return tuple(i for i, c in enumerate(self.channels) if c.role != "schedule")
+
+    @property
+    def follows(self) -> float:
+        """The best correlation of these."""
+        if not len(self.y):
+            return 0.0
+        return max((nearest(self.y[:, i], self.z[:, i]).correlation for i in self.counted), default=0.0)
 
     @property
     def away(self) -> float:
@@ -255,16 +272,19 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     own, *others = (_until_it_leaves(plant, e, run) for run in _free_runs(plant, e, trials))
     lasts = len(own.y) * e.dt
     guesses = _guesses(plant, own, [Guess((t.slip,), run.away) for t, run in zip(trials[1:], others, strict=True) if t.slip])
-    if guesses:
+    if any(slip.sure for guess in guesses for slip in guess.slips):
         raise _slipped(e.name, guesses)
+    if guesses:
+        yield _odd(e.name, guesses)
     _check_limits(plant, e, own.channels)
     if not len(own.y):
-        yield _lost(plant, e)
+        if not guesses:
+            yield _lost(plant, e)
         return
     if lasts < e.dt * len(e):
         yield Note(e.name, "", f"a free run of {plant.name} leaves its range after {lasts:g} s")
     _check_places(own)
-    _check_explained(plant, own)
+    yield from _unexplained(plant, e, own)
 
 
 def _guesses(plant: Plant, own: Compared, tried: Sequence[Guess]) -> tuple[Guess, ...]:
@@ -273,6 +293,8 @@ def _guesses(plant: Plant, own: Compared, tried: Sequence[Guess]) -> tuple[Guess
     outputs = Guess(slips, own.mended(slips).away) if slips else None
     close = [guess for guess in tried if guess.away < BETTER * min(own.away, 1.0)]
     inputs = min(close, key=lambda guess: guess.away, default=None)
+    if inputs:  # what does as well without an input says nothing of its sign or unit
+        inputs = next((guess for guess in close if guess.slips[0].factor == 0.0 and _equal(guess, inputs)), inputs)
     alone = len(plant.commanded) == 1 and len(own.channels) == 1
     if alone and outputs and not (inputs and _equal(inputs, outputs)):
         inputs = Guess((_counterpart(plant, slips[0]),), outputs.away)  # whatever moves the only output does it alone
@@ -300,6 +322,13 @@ def _slipped(file: str, guesses: Sequence[Guess]) -> InputError:
         return InputError(f"looks {first.looks}", file=file, channel=first.channels[0], mend=mend)
     said = ", or ".join("; ".join(map(str, guess.slips)) for guess in guesses)
     return InputError(said, file=file, mend=f"{mend}: these records do not tell which" if len(guesses) > 1 else mend)
+
+
+def _odd(file: str, guesses: Sequence[Guess]) -> Note:
+    """What looks too large or too small by a factor of no known unit, as large missing physics makes it look, too."""
+    said = _slipped(file, guesses)
+    missing = "an amplifier that saturates or other missing physics as large"
+    return Note(file, said.channel or "", f"{said.problem}: {missing}; or else {said.mend}")
 
 
 def _counterpart(plant: Plant, slip: Slip) -> Slip:
@@ -343,7 +372,7 @@ def _check_turns(plant: Plant, e: Experiment) -> None:
 
 
 def _trials(plant: Plant, e: Experiment) -> Iterator[Trial]:
-    u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
+    u = _inputs(plant, e)
     yield Trial(None, u)
     for a, b in combinations([plant.input_names.index(name) for name in plant.commanded], 2):
         swapped = u.copy()
@@ -357,12 +386,18 @@ def _trials(plant: Plant, e: Experiment) -> Iterator[Trial]:
         yield Trial(slip, scaled)
 
 
+def _inputs(plant: Plant, e: Experiment) -> np.ndarray:
+    """The logged inputs (N, nu), 0 where there is none."""
+    return np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
+
+
 def _input_slips(plant: Plant) -> Iterator[Slip]:
-    """Each input alone, and all of a unit together, upside down, in another unit, or of another size."""
+    """Each input alone, and all of a unit together, upside down, left out, in another unit, or of another size."""
     for unit in dict.fromkeys(c.unit for c in plant.inputs):
         own = [c for c in plant.inputs if c.unit == unit and c.name in plant.commanded]
         for channels in [[c] for c in own] + ([own] if len(own) > 1 else []):
             yield _reversed(channels)
+            yield _left_out(channels)
             units = list(_other_units(unit))
             yield from (_in_unit(channels, other, factor) for other, factor in units)
             yield from (_sized(channels, ten) for ten in TENS if not any(_same_size(ten, factor) for _, factor in units))
@@ -376,6 +411,11 @@ def _same_size(ratio: float, factor: float) -> bool:
 def _reversed(channels: Sequence[Channel]) -> Slip:
     names = tuple(c.name for c in channels)
     return Slip(names, "reversed in sign", f"multiply {' and '.join(names)} by -1", -1.0)
+
+
+def _left_out(channels: Sequence[Channel]) -> Slip:
+    names = tuple(c.name for c in channels)
+    return Slip(names, "cut off, the plant follows the record without", f"connect {' and '.join(names)}", 0.0, sure=False)
 
 
 def _in_unit(channels: Sequence[Channel], other: str, factor: float) -> Slip:
@@ -398,8 +438,8 @@ def _sized(channels: Sequence[Channel], factor: float) -> Slip:
     names = tuple(c.name for c in channels)
     size = f"{_two_digits(1.0 / factor)} times too large" if factor < 1.0 else f"{_two_digits(factor)} times too small"
     unit = channels[0].unit or "the plant's unit"
-    mend = f"bring {' and '.join(names)} to {unit} (times {_two_digits(factor)} or so)"
-    return Slip(names, size, f"{mend}, unless it is another machine or a parameter of the plant is far off", factor)
+    mend = f"bring {' and '.join(names)} to {unit} (another size of unit, times {_two_digits(factor)} or so)"
+    return Slip(names, size, mend, factor, sure=False)
 
 
 def _two_digits(number: float) -> str:
@@ -483,14 +523,30 @@ def _level(y: np.ndarray, z: np.ndarray) -> float:
     return min(abs(float(np.mean(y) - np.mean(z))) / float(np.std(y) + np.std(z)), 1.0)
 
 
-def _check_explained(plant: Plant, own: Compared) -> None:
-    """A reel's radius grows whatever turns it: what only drifts explains nothing."""
-    counted = [i for i, c in enumerate(own.channels) if c.role != "schedule"]
-    alike = [nearest(own.y[:, i], own.z[:, i]).correlation for i in counted]
-    if counted and max(alike) < UNLIKE:
-        names = ", ".join(own.channels[i].name for i in counted)
+def _unexplained(plant: Plant, e: Experiment, own: Compared) -> Iterator[Note]:
+    """Refuse what the plant explains in no channel, unless nothing gets through to the outputs, or only peaks of inputs do."""
+    if own.follows >= UNLIKE or not own.counted:
+        return
+    names, inputs = ", ".join(own.channels[i].name for i in own.counted), " and ".join(plant.commanded)
+    if not any(_moves(own.y[:, i]) for i in own.counted):
+        yield Note(own.file, names, f"moves no more than its noise: a dead zone or dry friction may take all of {inputs}")
+        return
+    runs = _free_runs(plant, e, list(_peaks(plant, e)))
+    if max(_until_it_leaves(plant, e, run).follows for run in runs) < ALIKE:
         raise InputError(
-            f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {max(alike):.2f})",
+            f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {own.follows:.2f})",
             file=own.file,
             mend="is it a record of this machine, and are the channels in their places?",
         )
+    yield Note(own.file, names, f"follows the peaks of {inputs} only: a dead zone or dry friction may take the rest")
+
+
+def _peaks(plant: Plant, e: Experiment) -> Iterator[Trial]:
+    """What dead zones of several widths leave of the inputs."""
+    u = _inputs(plant, e)
+    own = [plant.input_names.index(name) for name in plant.commanded]
+    for share in EATEN:
+        width = np.quantile(np.abs(u[:, own]), share, axis=0)
+        left = u.copy()
+        left[:, own] -= np.clip(u[:, own], -width, width)
+        yield Trial(None, left)

@@ -9,6 +9,8 @@ round, for it may be the rival that is true. A tie is resolved where the gap in 
 
     P = Phi((lambda + gap - ENOUGH) / (2 sqrt(lambda))),    weighted with the odds of the two
 
+Causes may be declared a tie at any gap: one beyond ENOUGH counts as ENOUGH there, for a run that shows nothing resolves nothing.
+
 A rival with a shape (a speed at which it fades, a date) may mimic a cause from far off where it was fitted: before a template is
 recommended, lambda is taken over other shapes too, each with what it costs in the records already made.
 
@@ -37,7 +39,6 @@ SURE = 0.9  # probability of that from which an experiment is recommended
 MOST = 8  # runs of one template
 RARE = 0.03  # probability of a rival up to which nobody asks what a run would show if it were true
 BEYOND = 0.25  # of the span of an output in the records, by which a run may leave it
-TRIED = 3  # templates that are looked at with other shapes
 FACTORS = (0.05, 0.3, 3.0, 20.0)  # of a shape, where it is held otherwise
 RAN_AWAY = 1e6  # whitened error of a model that does not follow the run at all
 STEP = 0.1  # of a size's standard deviation, for differences
@@ -144,9 +145,13 @@ def deciding(
 ) -> NextExperiment | None:
     """The template, and how many runs of it, that tell the cause in `model` from that in `rival` in the shortest time.
 
-    Where none is SURE to, what else could (`separates`). None without a template that the plant can run, or that stays where the
-    machine has been seen. `expected` is lambda of one run, its mean over the odds.
+    Where none is SURE to, what else could (`separates`), also where the plant can run none, or none stays where the machine has
+    been seen. None without templates. `expected` is lambda of one run, its mean over the odds, of every template that can be run;
+    with other shapes of the rival where they were looked at, which never makes it more.
     """
+    if not templates:
+        return None
+    (own, other), dt = names, model.predictor.plant.dt
     expected, promising = {}, []
     for template in templates:
         try:
@@ -158,20 +163,53 @@ def deciding(
         expected[template.name] = found.expected(1)
         if found.runs:
             promising.append((found.runs * len(template), template))
-    if not expected:
-        return None
-    (own, other), dt = names, model.predictor.plant.dt
+    chosen = _shortest(_either_way(model, rival, names) if promising else ([model], [rival]), promising, expected)
+    if chosen is None:
+        why = "" if expected else ": none can be run and stays where the machine has been seen"
+        return NextExperiment(f"no experiment of the plan tells {own} from {other}{why}. {separates}", {}, dt, expected)
+    sentence = (
+        f"{own} and {other} explain these records alike; {'one run' if chosen.runs == 1 else f'{chosen.runs} runs'} of "
+        f"{chosen.template.name!r} would decide (expected evidence {chosen.evidence:.0f}, {ENOUGH:.0f} is enough)"
+    )
+    return NextExperiment(sentence, dict(chosen.template.references), dt, expected, chosen.runs)
+
+
+@record
+class _Choice:
+    """A template, how many runs of it decide, and lambda of so many."""
+
+    template: Template
+    runs: int
+    evidence: float
+
+    @property
+    def samples(self) -> int:
+        return self.runs * len(self.template)
+
+
+def _either_way(model: Model, rival: Model, names: tuple[str, str]) -> tuple[list[Model], list[Model]]:
+    """The two models, each with its other shapes; those of the cause only where the rival may be true."""
     likely = 1.0 - odds_of(rival.bic - model.bic) > RARE
-    ways = (otherwise(model, own) if likely else [model], otherwise(rival, other)) if promising else ([model], [rival])
-    for _, template in sorted(promising, key=lambda pair: pair[0])[:TRIED]:
+    return otherwise(model, names[0]) if likely else [model], otherwise(rival, names[1])
+
+
+def _shortest(
+    ways: tuple[list[Model], list[Model]], promising: Sequence[tuple[int, Template]], expected: dict[str, float]
+) -> _Choice | None:
+    """The choice of the fewest samples among templates that decide with these ways too, None where none does.
+
+    promising: with the samples that would do without other shapes, which are never more than with them: the search ends at a
+    template that promises no less than what is found. What is looked at is written into `expected`.
+    """
+    best = None
+    for samples, template in sorted(promising, key=lambda pair: pair[0]):
+        if best and best.samples <= samples:
+            break
         found = prospect(*ways, template)
-        if found.runs:
-            sentence = (
-                f"{own} and {other} explain these records alike; {'one run' if found.runs == 1 else f'{found.runs} runs'} of "
-                f"{template.name!r} would decide (expected evidence {found.expected(found.runs):.0f}, {ENOUGH:.0f} is enough)"
-            )
-            return NextExperiment(sentence, dict(template.references), dt, expected, found.runs)
-    return NextExperiment(f"no experiment of the plan tells {own} from {other}. {separates}", {}, dt, expected)
+        expected[template.name] = found.expected(1)
+        if (runs := found.runs) and not (best and best.samples <= runs * len(template)):
+            best = _Choice(template, runs, found.expected(runs))
+    return best
 
 
 def _within_reach(model: Model, run: Experiment) -> bool:
@@ -232,8 +270,12 @@ def mimicry(true: Model, ways: Sequence[Model], template: Template) -> Mimicry:
 
 
 def resolved(gap: float, forth: float, back: float) -> float:
-    """Probability that a tie of this gap is none afterwards: lambda is `forth` if the cause is true, `back` if its rival is."""
-    sure = [ndtr((gain + side - ENOUGH) / (2.0 * np.sqrt(max(gain, 1e-12)))) for gain, side in ((forth, gap), (back, -gap))]
+    """Probability that a tie of this gap is none afterwards: lambda is `forth` if the cause is true, `back` if its rival is.
+
+    A gap beyond ENOUGH is taken as ENOUGH: it was declared a tie as it is. Without evidence that is 1/2 at most.
+    """
+    tie = float(np.clip(gap, -ENOUGH, ENOUGH))
+    sure = [ndtr((gain + side - ENOUGH) / (2.0 * np.sqrt(max(gain, 1e-12)))) for gain, side in ((forth, tie), (back, -tie))]
     return float(np.dot((odds_of(gap), 1.0 - odds_of(gap)), sure))
 
 

@@ -27,6 +27,8 @@ from workbench.readers import UNITS
 from workbench.records import field, record
 
 OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than its machine has its time in another unit
+SIXTY = (60.0, 3600.0)  # so has one that is sampled so many times more slowly or faster
+SAME_TIMES = 0.02  # to within that
 
 
 @record
@@ -42,6 +44,27 @@ class Parameter:
     tolerance: float = field("", low=0.0, default=0.0)
     meaning: str = ""
     signed: bool = False
+
+
+@record
+class _OtherTime:
+    """What may be wrong with a time column, and what mends it."""
+
+    question: str
+    factor: float = field("")
+
+
+def _other_time(ratio: float) -> _OtherTime | None:
+    """What is wrong with the time of a record that is sampled every `ratio` sample times of its machine, None for nothing."""
+    times = {name: unit.factor for name, unit in UNITS.items() if unit.quantity == "time"}
+    for name, factor in times.items():
+        if factor in SIXTY and abs(ratio / factor - 1.0) <= SAME_TIMES:
+            return _OtherTime(f"was its time in s, and taken for {name}", 1.0 / factor)
+    sixty = any(abs(ratio * factor - 1.0) <= SAME_TIMES for factor in SIXTY)
+    if not sixty and max(ratio, 1.0 / ratio) <= OTHER_TIME:
+        return None
+    unit = min(times, key=lambda name: abs(np.log(ratio * times[name])))
+    return _OtherTime(f"is its time in {unit}", times[unit])
 
 
 @record
@@ -165,21 +188,19 @@ class Plant:
     def sampled(self, dt: float, *, file: object = None) -> "Plant":
         """The same plant sampled every dt seconds.
 
-        Raises InputError where dt is so far from the plant's own that time must be in another unit, and for every other dt than
-        its own of a discrete plant, which knows nothing between its samples.
+        Raises InputError where dt is so far from the plant's own that time must be in another unit, or 60 or 3600 times as long
+        or as short, and for every other dt than its own of a discrete plant, which knows nothing between its samples.
         """
         if abs(dt - self.dt) <= SAME_DT * self.dt:
             return self
         if self.discrete:
             raise InputError(f"sampled every {dt:g} s, {self.name} every {self.dt:g} s", file=file, mend="resample the record")
-        if max(dt / self.dt, self.dt / dt) > OTHER_TIME:
-            times = {name: unit.factor for name, unit in UNITS.items() if unit.quantity == "time"}
-            unit = min(times, key=lambda name: abs(np.log(dt * times[name] / self.dt)))
+        if slip := _other_time(dt / self.dt):
             raise InputError(
-                f"sampled every {dt:g} s, {self.name} every {self.dt:g} s: is its time in {unit}?",
+                f"sampled every {dt:g} s, {self.name} every {self.dt:g} s: {slip.question}?",
                 file=file,
                 channel="t",
-                mend=f"multiply the time column by {times[unit]:g} and write t [s] in the header",
+                mend=f"multiply the time column by {slip.factor:.6g} and write t [s] in the header",
             )
         return replace(self, dt=dt, substeps=max(1, round(self.substeps * dt / self.dt)))
 

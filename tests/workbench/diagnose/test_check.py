@@ -7,7 +7,8 @@ import pytest
 
 from plants import PLANTS
 from studies.experiments import plan
-from tests.workbench.diagnose.cases import robot_records
+from tests.workbench.diagnose.cases import AXIS as SMALL_AXIS
+from tests.workbench.diagnose.cases import axis_records, robot_records
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.check import check, likeness, nearest
 from workbench.errors import InputError
@@ -64,6 +65,47 @@ def test_missing_physics_and_a_nominal_model_that_is_off_are_no_reason_to_refuse
 
 def test_dry_friction_of_ten_times_the_usual_size_is_no_reason_to_refuse():
     check(AXIS, Dataset((drawn(AXIS, "prbs", effects={"coulomb@slide": {"level": 45.0}}),)))
+
+
+@pytest.mark.parametrize(
+    ("records", "plant", "effect", "size"),
+    [
+        (robot_records, ROBOT, "saturation@u", {"limit": 0.2}),
+        (robot_records, ROBOT, "dead-zone@u", {"half_width": 3.0}),
+        (robot_records, ROBOT, "coulomb@rail", {"level": 2.0}),
+        (axis_records, SMALL_AXIS, "saturation@F", {"limit": 20.0}),
+        (axis_records, SMALL_AXIS, "coulomb@slide", {"level": 300.0}),
+        (axis_records, SMALL_AXIS, "quadratic-friction@slide", {"coefficient": 3000.0}),
+    ],
+)
+def test_an_effect_of_the_catalogue_is_never_refused_however_strong(records, plant, effect, size):
+    """They look like commands up to twenty times too large; what is mended so comes out with another cause."""
+    for seed in (3, 5, 6, 7, 8):
+        check(plant, records(seed, {effect: size}))
+
+
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [
+        ("saturation@V2", {"limit": 1.0}),
+        ("dead-zone@V1", {"half_width": 2.0}),
+        ("dead-zone@V2", {"half_width": 4.0}),
+        ("coulomb@unwind", {"level": 0.05}),
+        ("quadratic-friction@rewind", {"coefficient": 1e-4}),
+    ],
+)
+def test_no_strong_effect_of_the_winding_machine_is_refused(effect, size):
+    """A reel that sticks looks like V1 in mV, and like no V1 at all: nothing is said of the unit."""
+    notes = check(WINDING, Dataset((drawn(WINDING, "staircase", effects={effect: size}),)))
+    assert any("missing physics as large" in note.sentence for note in notes)
+    assert (effect == "coulomb@unwind") == any("V1: looks cut off" in str(note) for note in notes)
+
+
+def test_a_dead_zone_that_takes_all_or_nearly_all_is_noted():
+    """Records of steps that stay below 3 N, or go beyond it twice."""
+    said = {seed: [str(n) for n in check(ROBOT, robot_records(seed, {"dead-zone@u": {"half_width": 3.0}}))] for seed in (6, 8)}
+    assert said[6] == ["robot 0, v: moves no more than its noise: a dead zone or dry friction may take all of u"]
+    assert said[8] == ["robot 0, v: follows the peaks of u only: a dead zone or dry friction may take the rest"]
 
 
 def test_a_dead_channel_beside_live_ones_is_a_note(winding):
@@ -128,8 +170,9 @@ def test_noise_tells_a_reading_in_another_unit_from_a_command_in_another(effects
     assert (reading.channel, reading.problem) == ("v", "looks like mm/s, expected m/s")
     assert reading.mend == "multiply v by 0.001 and write v [m/s] in the header"
     assert (command.channel, command.problem) == ("u", "looks like kN, expected N")
-    assert refused(ROBOT, scaled(e, "u", 180 / np.pi)).channel == "u"  # there is no such unit of a force
-    assert refused(ROBOT, scaled(e, "v", np.pi / 180)).channel == "v"
+    for channel, factor in (("u", 180 / np.pi), ("v", np.pi / 180)):  # there is no such unit of a force or a speed
+        (note,) = check(ROBOT, Dataset((scaled(e, channel, factor),)))
+        assert note.channel == channel
     silent = replace(ROBOT, noise={})
     assert "u looks like kN, expected N, or v looks like mm/s" in refused(silent, scaled(e, "v", 1000.0)).problem
 
@@ -149,13 +192,19 @@ def test_with_one_input_and_one_output_either_sign_may_be_reversed(plant, input_
         assert f"multiply {input_} by -1, or multiply {output} by -1" in reason.mend
 
 
-@pytest.mark.parametrize("channel", ["V2", "w3"])
-def test_a_channel_a_thousand_times_too_large_or_small_is_never_taken_for_another(winding, channel):
+def test_a_voltage_a_thousand_times_too_large_or_small_is_never_taken_for_another(winding):
+    for factor, unit in ((1000.0, "mV"), (0.001, "kV")):
+        reason = refused(WINDING, scaled(winding, "V2", factor))
+        assert (reason.channel, reason.problem) == ("V2", f"looks like {unit}, expected V")
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1000.0, "1000 times too large"), (0.001, "1000 times too small")])
+def test_a_factor_of_no_known_unit_is_noted_with_both_readings(winding, factor, said):
     """Nobody logs an angular velocity in mrad/s, but a logger has gains."""
-    for factor, said in ((1000.0, "too large"), (0.001, "too small")):
-        reason = refused(WINDING, scaled(winding, channel, factor))
-        assert reason.channel == channel
-        assert said in reason.problem or "looks like" in reason.problem
+    (note,) = check(WINDING, Dataset((scaled(winding, "w3", factor),)))
+    assert (note.record, note.channel) == ("prbs1", "w3")
+    assert note.sentence.startswith(f"looks {said}: an amplifier that saturates or other missing physics as large")
+    assert f"or else bring w3 to rad/s (another size of unit, times {1 / factor:g} or so)" in note.sentence
 
 
 def test_several_outputs_in_another_unit_are_all_named(winding):
@@ -194,9 +243,7 @@ def test_a_record_of_another_machine_is_refused_by_its_channels():
 
 
 def test_a_larger_machine_of_the_same_channels_is_refused_by_its_range(winding):
-    reason = refused(WINDING, scaled(winding, "r2", 9.0))
-    assert reason.problem == "looks 9 times too large"
-    assert "unless it is another machine" in reason.mend
+    assert "stays within [0.01, 0.03] m" in refused(WINDING, scaled(winding, "r2", 9.0)).problem
     alike = winding["r2"] + 0.05  # another radius that grows as fast
     values = np.where(np.array(winding.names) == "r2", alike[:, None], winding.values)
     assert "stays within [0.01, 0.03] m" in refused(WINDING, replace(winding, values=values)).problem
@@ -228,6 +275,31 @@ def test_time_in_another_unit_under_the_header_of_seconds_is_refused_before_anyt
     assert (reason.file, reason.channel) == (e.name, "t")
     assert f"is its time in {unit}?" in reason.problem
     assert f"multiply the time column by {mend} " in reason.mend
+
+
+@pytest.mark.parametrize(
+    ("factor", "question", "mend"),
+    [
+        (1 / 60, "is its time in min?", "60"),
+        (1.015 / 60, "is its time in min?", "60"),
+        (60.0, "was its time in s, and taken for min?", "0.0166667"),
+        (59.0, "was its time in s, and taken for min?", "0.0166667"),
+        (3600.0, "was its time in s, and taken for h?", "0.000277778"),
+    ],
+)
+@pytest.mark.parametrize("plant", [ROBOT, AXIS], ids=["robot", "axis"])
+def test_minutes_and_hours_are_refused_before_a_channel_is_taken_for_another_unit(plant, factor, question, mend):
+    """Sixty times faster a force of newtons moves what it would move in thousands: kN was said, and was an all-clear."""
+    e = drawn(plant, "prbs")
+    reason = refused(plant, replace(e, t=e.t * factor, dt=e.dt * factor))
+    assert (reason.file, reason.channel) == (e.name, "t")
+    assert reason.problem.endswith(question)
+    assert f"multiply the time column by {mend} " in reason.mend
+
+
+@pytest.mark.parametrize("times", [1 / 100, 1 / 63, 1 / 57, 57.0, 63.0, 250.0])
+def test_a_sample_time_near_none_of_these_is_taken_as_it_is(times):
+    assert AXIS.sampled(times * AXIS.dt).dt == times * AXIS.dt
 
 
 def test_a_slow_or_fast_logger_is_no_other_unit_of_time():

@@ -13,13 +13,16 @@ from workbench.diagnose.experiments import (
     MOST,
     RARE,
     SURE,
+    Foreseen,
     Mimicry,
+    Prospect,
     Template,
     deciding,
     foreseen,
     mimicry,
     once_more,
     otherwise,
+    prospect,
     resolved,
 )
 from workbench.diagnose.fit import gauss_newton
@@ -125,11 +128,14 @@ def test_more_runs_gain_more_and_at_most_in_proportion():
     assert gains[2] < 2.0 * gains[1]
 
 
-@pytest.mark.parametrize(("gap", "forth", "back"), [(0.0, 10.0, 10.0), (3.0, 30.0, 14.0), (6.0, 2.0, 60.0)])
+@pytest.mark.parametrize(
+    ("gap", "forth", "back"), [(0.0, 10.0, 10.0), (3.0, 30.0, 14.0), (6.0, 2.0, 60.0), (14.0, 5.0, 9.0), (-30.0, 9.0, 4.0)]
+)
 def test_the_probability_that_a_tie_is_resolved_is_that_of_gaps_that_are_drawn(gap, forth, back):
     random = np.random.default_rng(5)
     first = random.random(200_000) < 1.0 / (1.0 + np.exp(-gap / 2.0))
-    mean, start = np.where(first, forth, back), np.where(first, gap, -gap)
+    mean = np.where(first, forth, back)
+    start = np.clip(np.where(first, gap, -gap), -ENOUGH, ENOUGH)  # beyond that it was declared a tie as it is
     after = start + mean + 2.0 * np.sqrt(mean) * random.standard_normal(len(mean))
     assert resolved(gap, forth, back) == pytest.approx(np.mean(after > ENOUGH), abs=0.005)
 
@@ -137,6 +143,46 @@ def test_the_probability_that_a_tie_is_resolved_is_that_of_gaps_that_are_drawn(g
 def test_an_experiment_that_shows_nothing_resolves_nothing():
     assert resolved(9.0, 0.0, 0.0) == pytest.approx(0.0, abs=1e-9)
     assert resolved(0.0, ENOUGH, ENOUGH) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("gap", [-60.0, -20.0, -12.0, -9.0, 0.0, 9.0, 12.0, 20.0, 60.0])
+def test_a_tie_of_any_gap_is_not_decided_by_a_run_that_shows_nothing(gap):
+    nothing = told(0.0)
+    assert Prospect(gap, nothing, nothing).runs is None
+    assert Prospect(gap, told(0.5), told(0.5)).runs is None  # MOST runs, 4 in all
+    assert Prospect(gap, told(60.0), told(60.0)).runs == 1
+
+
+def told(*gains: float, excess=None) -> Mimicry:
+    """What a run tells apart by each way, with nothing to make up with."""
+    ways = tuple(Foreseen(gain, np.zeros(1), np.zeros((1, 1))) for gain in gains)
+    return Mimicry(ways, np.zeros(len(gains)) if excess is None else np.array(excess))
+
+
+def test_a_way_to_mimic_a_cause_is_as_good_as_what_it_shows_and_what_it_costs_in_the_old_records():
+    assert told(5.0, 1.0, excess=[0.0, 2.5]).gain(1) == 3.5
+    assert told(5.0, 1.0, excess=[0.0, 2.5]).gain(2) == 4.5
+    assert told(5.0, 1.0, excess=[0.0, 30.0]).gain(4) == 20.0
+    _, true, rival = rivals()
+    worse = Model(rival.predictor, replace(rival.fit, errors=tuple(e + 0.1 for e in rival.fit.errors)))
+    assert worse.deviance > rival.deviance + 1.0
+    np.testing.assert_allclose(mimicry(true, [rival, worse], PUSHES).excess, [0.0, worse.deviance - rival.deviance])
+
+
+def test_a_further_run_does_not_know_a_phase_and_tells_no_models_apart_that_differ_in_it():
+    """Each record of an imbalance begins at another angle: a quarter of a turn more is nothing to a new run."""
+    each = [{"imbalance@slide": {"cosine": 8.0 * np.cos(turn), "sine": 8.0 * np.sin(turn)}} for turn in (0.4, 2.0)]
+    true = refitted(fitted(axis_records(4, each)), "imbalance@slide", [6.0, 2.0], rounds=12)
+    at = true.fit.unknowns.size - true.fit.unknowns.split[2]
+    z = true.fit.z.copy()
+    z[[at, at + 1]] = -z[at + 1], z[at]
+    turned = Model(true.predictor, replace(true.fit, z=z))
+    run = PUSHES.run(true)
+    made = axis_predictor(Dataset((run,)))
+    p, eta = (np.array([getattr(m.fit.point, name) for m in (true, turned)]) for name in ("p", "eta"))
+    e = made.errors(0, p, eta[:, 0], made.records[0].start[None])
+    assert np.sum((e[1] - e[0]) ** 2) > 100.0  # and yet, at one phase they differ much
+    assert foreseen(true, turned, run).gain(1) < 0.1
 
 
 def test_the_shortest_time_that_is_sure_to_decide_is_chosen():
@@ -179,20 +225,77 @@ def test_no_experiment_is_recommended_between_forces_that_are_one_and_the_same()
     assert "A stop shows it." in found.sentence
 
 
-def test_a_friction_that_fades_at_a_speed_that_no_run_reaches_is_plain_friction():
-    """Where the rival was fitted it fades; a run would refute that, and then it would no longer fade: nothing is decided."""
-    base = fitted(axis_records(9, {"coulomb@slide": {"level": 6.0}}))
-    true, rival = (refitted(base, key, [5.0]) for key in ("coulomb@slide", "stribeck@slide"))
-    i = next(i for i, slot in enumerate(AXIS.slots) if (slot.key, slot.parameter.name) == ("stribeck@slide", "speed"))
+DRY, FADING = "coulomb@slide", "stribeck@slide"
+
+
+@cache
+def frictions() -> tuple[Model, Model]:
+    """Models of a dry friction, and of one that fades at a speed which is fitted."""
+    base = fitted(axis_records(9, {DRY: {"level": 6.0}}))
+    true, rival = (refitted(base, key, [5.0]) for key in (DRY, FADING))
+    i = next(i for i, slot in enumerate(AXIS.slots) if (slot.key, slot.parameter.name) == (FADING, "speed"))
     (t,) = rival.fit.unknowns.terms
     shaped = replace(rival.fit.unknowns, terms=(replace(t, free=(i,)),))
-    rival = Model(rival.predictor, gauss_newton(rival.predictor, shaped, np.append(rival.fit.z, 0.0), otherwise_steps(rival)))
-    ways = otherwise(rival, "stribeck@slide")
+    return true, Model(
+        rival.predictor, gauss_newton(rival.predictor, shaped, np.append(rival.fit.z, 0.0), otherwise_steps(rival))
+    )
+
+
+def test_a_friction_that_fades_at_a_speed_that_no_run_reaches_is_plain_friction():
+    """Where the rival was fitted it fades; a run would refute that, and then it would no longer fade: nothing is decided."""
+    true, rival = frictions()
+    ways = otherwise(rival, FADING)
     assert len(ways) > 1
     near, far = mimicry(true, [rival], PUSHES), mimicry(true, ways, PUSHES)
     assert far.gain(MOST) <= near.gain(MOST)
     assert far.gain(MOST) < ENOUGH
     assert [w.fit.unknowns.terms[0].free for w in ways[1:]] == [()] * (len(ways) - 1)
+
+
+def test_no_run_is_recommended_that_the_rival_would_survive_with_another_shape():
+    true, rival = frictions()
+    swings = Template("swings", PLAYER, {"F": 900.0 * np.sin(1.2 * np.pi * AXIS.dt * np.arange(1000))})
+    first = prospect([true], [rival], swings)
+    assert first.runs == 1  # of the shape that was fitted a run would be enough
+    found = deciding(true, rival, (DRY, FADING), (swings,), "Look.")
+    assert found is not None
+    assert found.signals == {}
+    assert found.expected["swings"] < 0.1 * first.expected(1)
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """judged(gains) lets a run of a template tell what `gains` says by name: (as fitted, with other shapes)."""
+
+    def judge(gains):
+        monkeypatch.setattr("workbench.diagnose.experiments.otherwise", lambda model, key: [model, model])
+        monkeypatch.setattr("workbench.diagnose.experiments.mimicry", lambda _, ways, x: told(gains[x.name][len(ways) > 1]))
+        _, true, rival = rivals(0.7)
+        templates = [Template(name, PLAYER, {"F": steps(60 + i, 100.0, i)}) for i, name in enumerate(gains)]
+        return deciding(true, rival, (OFFSET, GAIN), templates, "Look.")
+
+    return judge
+
+
+def test_templates_are_looked_at_until_one_decides_and_what_was_seen_of_them_is_said(judged):
+    seeming = {f"seems {i}": (200.0, 0.1 * i) for i in range(6)}
+    found = judged({**seeming, "decides": (200.0, 150.0), "later": (200.0, 120.0)})
+    assert "one run of 'decides'" in found.sentence
+    odds = found.expected["later"] / 200.0  # the rival is so unlikely that it is not asked what a run would show if it were true
+    assert 0.9 < odds < 1.0
+    after = {name: gain for name, (_, gain) in seeming.items()} | {"decides": 150.0, "later": 200.0}
+    assert found.expected == pytest.approx({name: odds * gain for name, gain in after.items()})
+    none = judged(seeming)
+    assert none.signals == {}
+    assert max(none.expected.values()) < 1.0
+    assert none.sentence.endswith("Look.")
+
+
+def test_the_time_that_counts_is_that_with_other_shapes(judged):
+    """The first seems to decide in one run and needs several; the second needs one, a sample longer."""
+    found = judged({"several": (200.0, 2.0), "one": (200.0, 200.0)})
+    assert "one run of 'one'" in found.sentence
+    assert "runs of 'several'" in judged({"several": (200.0, 2.0)}).sentence
 
 
 def otherwise_steps(model: Model) -> np.ndarray:
@@ -219,7 +322,11 @@ def test_a_record_made_once_more_follows_its_set_points_and_is_judged_along_itse
 def test_a_template_that_the_machine_cannot_run_is_left_out():
     _, true, rival = rivals()
     unknown = Template("unknown loop", None, PUSHES.references)
-    assert deciding(true, rival, (OFFSET, GAIN), (unknown,), "") is None
+    assert deciding(true, rival, (OFFSET, GAIN), (), "") is None
+    none = deciding(true, rival, (OFFSET, GAIN), (unknown,), "A stop shows it.")
+    assert none is not None
+    assert (none.signals, none.expected) == ({}, {})
+    assert none.sentence.endswith("none can be run and stays where the machine has been seen. A stop shows it.")
     found = deciding(true, rival, (OFFSET, GAIN), (unknown, PUSHES), "")
     assert found is not None
     assert set(found.expected) == {"pushes"}
