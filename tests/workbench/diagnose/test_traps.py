@@ -9,7 +9,7 @@ from tests.workbench.diagnose.cases import AXIS, READING, ROBOT, axis_by_hand, a
 from workbench.data import Dataset
 from workbench.diagnose.diagnosis import ALPHA, WORTH, diagnose
 from workbench.diagnose.fit import gauss_newton
-from workbench.diagnose.predictor import predictor
+from workbench.diagnose.predictor import Predictor, predictor
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model, refit, settled
 from workbench.diagnose.remainder import BUMPS, _scores, _trajectory, remainder
@@ -27,12 +27,14 @@ LIGHT = replace(
 )  # twice as fast as a sample is long, and no parameter could mimic an error
 
 
-def test_trap_1_an_integrator_that_is_too_coarse_is_not_discovered_as_physics():
+def test_trap_1_an_integrator_that_is_too_coarse_is_not_discovered_as_physics(monkeypatch):
     data = axis_records(1, plant=LIGHT, samples=200)
     evidence = {}
     for name in ("chosen", "coarse"):
         made = predictor(LIGHT, data)
-        made = made if name == "chosen" else replace(made, substeps=1).regained(made.point)
+        if name == "coarse":
+            monkeypatch.setattr(Predictor, "coarser", lambda own: own)
+            made = replace(made, substeps=1).regained(made.point)
         done = recalibrated(made)
         model = Model(done.predictor, done.fit)
         found = [(s.p_family, s.statistic) for s in screened(model)] + [(x.p_family, x.statistic) for x in remainder(model)]
