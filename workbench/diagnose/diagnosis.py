@@ -178,7 +178,8 @@ def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progres
     steps = search.path(base)
     if len(steps) > 1:
         progress("dropping and swapping")
-        steps = _pruned(base, _swapped(steps, search.sizes, most), search.sizes)
+        lesser = _Lesser(search.sizes)
+        steps = _pruned(base, _swapped(steps, lesser, most), lesser)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
     return _Found(base, tuple(steps), tuple(left), tuple(search.tested), search.local)
@@ -373,14 +374,32 @@ def _of_its_own(plant: Plant, key: str, gain: float, steps: Sequence[Step]) -> b
     return all(gain > least(slots[s.key]) * s.gain for s in steps if slots[s.key].place == own.place)
 
 
-def _swapped(steps: list[Step], sizes: np.ndarray, most: float) -> list[Step]:
+class _Lesser:
+    """Models without one of their effects, with noise levels of their own, each made once.
+
+    Levels that suit the effect would make it look worth too much.
+    """
+
+    def __init__(self, sizes: np.ndarray):
+        self.sizes, self.made = sizes, []
+
+    def of(self, model: Model, key: str) -> Model:
+        for known, left, less in self.made:
+            if known is model and left == key:
+                return less
+        less = settled(without(model, key, self.sizes), self.sizes)
+        self.made.append((model, key, less))
+        return less
+
+
+def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
     """Steps of which none gives way to one of its rivals beside all others; what came first was chosen without them."""
-    steps, model = list(steps), steps[-1].after
+    steps, model, sizes = list(steps), steps[-1].after, lesser.sizes
     for j, step in enumerate(steps):
         rivals = [key for key in sorted(step.rivals, key=lambda key: step.rivals[key]) if key not in model.keys][:RIVALS]
         if not rivals:
             continue
-        less, others = _without(model, step.key, sizes), steps[:j] + steps[j + 1 :]
+        less, others = lesser.of(model, step.key), steps[:j] + steps[j + 1 :]
         found = _screened(less, rivals, sizes)
         trials = refits(less, found, sizes) if found else []
         # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike
@@ -426,30 +445,25 @@ def _term_sizes(model: Model, key: str) -> tuple[np.ndarray, np.ndarray]:
     raise KeyError(key)
 
 
-def _pruned(base: Model, steps: list[Step], sizes: np.ndarray) -> list[Step]:
+def _pruned(base: Model, steps: list[Step], lesser: _Lesser) -> list[Step]:
     """Steps without those that the others make superfluous, each with what it gains beside all others."""
     model = steps[-1].after
     while len(steps) > 1:
-        lesser = {step.key: _without(model, step.key, sizes) for step in steps}
-        weakest = min(lesser, key=lambda key: lesser[key].bic)
-        if lesser[weakest].bic - model.bic >= WORTH:
+        less = {step.key: lesser.of(model, step.key) for step in steps}
+        weakest = min(less, key=lambda key: less[key].bic)
+        if less[weakest].bic - model.bic >= WORTH:
             return [
                 replace(
                     step,
-                    before=lesser[step.key],
+                    before=less[step.key],
                     after=model,
-                    gain=lesser[step.key].bic - model.bic,
+                    gain=less[step.key].bic - model.bic,
                     stable=stability(model, step.key),
                 )
                 for step in steps
             ]
-        model, steps = lesser[weakest], [s for s in steps if s.key != weakest]
+        model, steps = less[weakest], [s for s in steps if s.key != weakest]
     return [replace(steps[0], before=base, after=model, gain=base.bic - model.bic, stable=stability(model, steps[0].key))]
-
-
-def _without(model: Model, key: str, sizes: np.ndarray) -> Model:
-    """The model without an effect, with noise levels of its own: those that suit the effect make it look worth too much."""
-    return settled(without(model, key, sizes), sizes)
 
 
 def _with_rounding(found: _Found, channels: Sequence[str]) -> Finding:
