@@ -48,6 +48,7 @@ LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is th
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
 NEARLY, FINALISTS = 0.1, 3  # share of the best refit's gain that a refit may miss and still be fitted to convergence, how many
 ALIKE = 0.9  # share of a signature that another can mimic from which on both are fitted to convergence
+FEW_SENSORS = 2
 RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; BIC that their first fit may lie behind
 MOST = 3
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
@@ -247,7 +248,7 @@ def _step(
 
     Where none holds, the one that would but for the records that are left out.
     """
-    short = _with_late(model.predictor.plant, shortlist([s for s in found if s.p_family < ALPHA]), found)
+    short = _with_late(model, shortlist([s for s in found if s.p_family < ALPHA]), found)
     progress(f"refitting {', '.join(s.key for s in short)}")
     trials = refits(model, short, sizes)
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
@@ -335,12 +336,17 @@ def _local(before: Model, after: Model, key: str) -> Local:
     return Local(key, before.bic - after.bic, tuple(name for name, gain in zip(names, gains, strict=True) if gain > WORTH))
 
 
-def _with_late(plant: Plant, short: list[Score], found: Sequence[Score]) -> list[Score]:
-    """The shortlist, where it holds one effect that makes things late, with every late sensor: small as such a score may be."""
+def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list[Score]:
+    """The shortlist; where it holds what is late, but no late sensor, with every one of these, however small its score.
+
+    A filter follows a slow sensor only where no other sensors contradict it.
+    """
+    plant, keys = model.predictor.plant, {s.key for s in short}
     late = {slot.key for slot in plant.slots if slot.effect.domain is Domain.SHIFT}
-    if not late & {s.key for s in short}:
+    measured = np.any([np.isfinite(r.y).any(axis=0) for r in model.predictor.records], axis=0)
+    if not late & keys or any(is_late(plant, key) for key in keys) or np.sum(measured) > FEW_SENSORS:
         return short
-    return short + [s for s in found if is_late(plant, s.key) and s not in short]
+    return short + [s for s in found if is_late(plant, s.key)]
 
 
 def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:
