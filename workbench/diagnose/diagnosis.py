@@ -48,7 +48,6 @@ LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is th
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
 NEARLY, FINALISTS = 0.1, 3  # share of the best refit's gain that a refit may miss and still be fitted to convergence, how many
 ALIKE = 0.9  # share of a signature that another can mimic from which on both are fitted to convergence
-FEW_SENSORS = 2
 RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; BIC that their first fit may lie behind
 MOST = 3
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
@@ -337,16 +336,12 @@ def _local(before: Model, after: Model, key: str) -> Local:
 
 
 def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list[Score]:
-    """The shortlist; where it holds what is late, but no late sensor, with every one of these, however small its score.
-
-    A filter follows a slow sensor only where no other sensors contradict it.
-    """
-    plant, keys = model.predictor.plant, {s.key for s in short}
-    late = {slot.key for slot in plant.slots if slot.effect.domain is Domain.SHIFT}
-    measured = np.any([np.isfinite(r.y).any(axis=0) for r in model.predictor.records], axis=0)
-    if not late & keys or any(is_late(plant, key) for key in keys) or np.sum(measured) > FEW_SENSORS:
+    """The shortlist; where it holds what is late, but no late sensor, with every one of these, however small its score."""
+    late = {slot.key for slot in model.predictor.plant.slots if slot.effect.domain is Domain.SHIFT}
+    keys = {s.key for s in short}
+    if not late & keys or any(is_late(model.predictor, key) for key in keys):
         return short
-    return short + [s for s in found if is_late(plant, s.key)]
+    return short + [s for s in found if is_late(model.predictor, s.key)]
 
 
 def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:

@@ -15,7 +15,6 @@ from workbench.diagnose.profile import dated
 from workbench.diagnose.screen import Score, Signature, dated_variants, signatures
 from workbench.diagnose.tuning import tuned
 from workbench.physics.effects.effect import Domain
-from workbench.physics.plant import Plant
 from workbench.records import record
 
 CONVERGED = 3.0  # deviance: half of what a cause must be worth
@@ -23,6 +22,7 @@ SETTLINGS = 4
 CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
+FEW_SENSORS = 2
 FAR_OFF = 10.0  # deviance a sample from which a start leads nowhere
 
 
@@ -151,16 +151,20 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
     assert best is not None
     fit = gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=1, chords=4, enough=0.5)
     fitted = Model(model.predictor, fit)
-    if not is_late(model.predictor.plant, score.key):
+    if not is_late(model.predictor, score.key):
         return fitted, best
     late = _from_late(model, best, sizes)
     return (late, late.fit) if late and late.bic < fitted.bic else (fitted, best)
 
 
-def is_late(plant: Plant, key: str) -> bool:
-    """Whether an effect makes a reading late by a memory: a filter that follows it leaves next to nothing of it in the errors."""
-    effect = next(slot.effect for slot in plant.slots if slot.key == key)
-    return effect.domain is Domain.SHIFT and effect.memories > 0
+def is_late(predictor: Predictor, key: str) -> bool:
+    """Whether an effect is a slow sensor that a filter may follow, so that next to nothing of it is left in the errors.
+
+    Where there are more sensors the others contradict it.
+    """
+    effect = next(slot.effect for slot in predictor.plant.slots if slot.key == key)
+    measured = np.any([np.isfinite(r.y).any(axis=0) for r in predictor.records], axis=0)
+    return effect.domain is Domain.SHIFT and effect.memories > 0 and np.sum(measured) <= FEW_SENSORS
 
 
 def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model | None:
