@@ -271,7 +271,7 @@ def _step(
         return next(told, None)
     best, score = held[0]
     tying = _rivals(model, best, score.key, worthy)
-    rivals = {s.key: m.bic - best.bic for m, s in tying}
+    rivals = {s.key: _gap(best, score.key, m, s.key) for m, s in tying}
     rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
         score.key,
@@ -287,10 +287,8 @@ def _step(
 
 def _reach(plant: Plant, key: str, rival: str, gain: float) -> float:
     """BIC within which a rival ties with a cause of this gain."""
-    slots = {slot.key: slot.effect for slot in plant.slots}
-    one, other = slots[key], slots[rival]
     # between a law and a special case of it there is no question of form
-    return TIE if one.id in other.includes or other.id in one.includes else max(TIE, IDEAL * gain)
+    return TIE if _included(plant, key, rival) or _included(plant, rival, key) else max(TIE, IDEAL * gain)
 
 
 def _rivals(before: Model, named: Model, key: str, tried: Sequence[tuple[Model, Score]]) -> list[tuple[Model, Score]]:
@@ -411,7 +409,7 @@ def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
         finals.append((model, step.score))
         model, score = min(better, key=lambda pair: pair[0].bic, default=(model, step.score))
         tying = _rivals(less, model, score.key, finals)
-        gaps = {s.key: m.bic - model.bic for m, s in tying}
+        gaps = {s.key: _gap(model, score.key, m, s.key) for m, s in tying}
         steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(less, model, score.key, tying))
     steps[-1] = replace(steps[-1], after=model)
     return steps
@@ -420,15 +418,27 @@ def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
 def _closest(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> Rival | None:
     """The best of the rivals that tie."""
     plant, gain = before.predictor.plant, before.bic - named.bic
-    near = [Rival(s.key, m) for m, s in tying if m.bic - named.bic < _reach(plant, key, s.key, gain)]
+    near = [Rival(s.key, m) for m, s in tying if _gap(named, key, m, s.key) < _reach(plant, key, s.key, gain)]
     return near[0] if near else None
+
+
+def _gap(named: Model, key: str, other: Model, other_key: str) -> float:
+    """BIC by which a rival is worse; one that includes the named cause cannot be worse than by its further numbers."""
+    gap, more = other.bic - named.bic, other.numbers - named.numbers
+    samples = sum(len(r) for r in named.predictor.records)
+    return min(gap, more * float(np.log(samples))) if _included(named.predictor.plant, key, other_key) else gap
+
+
+def _included(plant: Plant, key: str, other_key: str) -> bool:
+    """Whether an effect is a special case of another one at its place."""
+    slots = {slot.key: slot for slot in plant.slots}
+    own, other = slots[key], slots[other_key]
+    return own.place == other.place and own.effect.id in other.effect.includes
 
 
 def _only_more(named: Model, key: str, other: Model, other_key: str) -> bool:
     """Whether a rival is the named cause with numbers more that the records know and do not ask for: the same, no other cause."""
-    slots = {slot.key: slot for slot in named.predictor.plant.slots}
-    own, rival = slots[key], slots[other_key]
-    if own.place != rival.place or own.effect.id not in rival.effect.includes:
+    if not _included(named.predictor.plant, key, other_key):
         return False
     (size, _), (_, deviation) = _term_sizes(named, key), _term_sizes(other, other_key)
     known = bool(np.all(deviation < KNOWN * np.abs(size).max()))  # friction of a direction in which nothing moved is not
