@@ -16,6 +16,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from textwrap import indent
 from types import ModuleType
 
 import casadi as ca
@@ -244,7 +245,23 @@ _CORRECT = """        # the state before the next step: given for every sample a
             if remembering:
                 remember(W, on)
 """
-_INTEGRATE = """        for s in range(len(step)):
+# the rate of change at `stage`, for the integrator and, at the samples, for a discrete plant
+_SLOPE = """        if affected:
+            add_parts(W, on)
+            for l in range(LANES):
+{rates}
+        else:
+            for l in range(LANES):
+{nominal}
+        for i in range({np} if len(push) > 0 else 0):
+            for l in range(LANES):
+                W[({slope} + i) * LANES + l] += push[k, i, l]
+        for i in range(len(decay)):
+            for l in range(LANES):
+                W[({slope} + i) * LANES + l] += W[({drift} + i) * LANES + l]
+"""
+_INTEGRATE = (
+    """        for s in range(len(step)):
             for i in range({nu}):
                 for l in range(LANES):
                     W[({w} + i) * LANES + l] = acting[first + k - back[s, i, l], i, l]
@@ -258,20 +275,9 @@ _INTEGRATE = """        for s in range(len(step)):
             for q in range(4):
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
-                if affected:
-                    add_parts(W, on)
-                    for l in range(LANES):
-{rates}
-                else:
-                    for l in range(LANES):
-{nominal}
-                for i in range({np} if len(push) > 0 else 0):
-                    for l in range(LANES):
-                        W[({slope} + i) * LANES + l] += push[k, i, l]
-                for i in range(len(decay)):
-                    for l in range(LANES):
-                        W[({slope} + i) * LANES + l] += W[({drift} + i) * LANES + l]
-                for i in range({nx}):
+"""
+    + indent(_SLOPE, 8 * " ", lambda line: line.startswith(" "))
+    + """                for i in range({nx}):
                     for l in range(LANES):
                         rise = W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
                         W[({sum} + i) * LANES + l] += share * rise
@@ -290,6 +296,7 @@ _INTEGRATE = """        for s in range(len(step)):
                     for l in range(LANES):
                         W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
 """
+)
 _FADE = """        for i in range(len(decay)):
             for l in range(LANES):
                 W[({drift} + i) * LANES + l] *= decay[i]
@@ -311,27 +318,18 @@ _ARRIVE = """        # what acts in a sample is the mean of its hold: a dead tim
             for l in range(LANES):
                 W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
 """
-_JUMP = """        # rates are taken at the sample and hold until the next one
+_JUMP = (
+    """        # rates are taken at the sample and hold until the next one
         for i in range({nx}):
             for l in range(LANES):
                 W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l]
-        if affected:
-            add_parts(W, on)
-            for l in range(LANES):
-{rates}
-        else:
-            for l in range(LANES):
-{nominal}
-        for i in range({np} if len(push) > 0 else 0):
-            for l in range(LANES):
-                W[({slope} + i) * LANES + l] += push[k, i, l]
-        for i in range(len(decay)):
-            for l in range(LANES):
-                W[({slope} + i) * LANES + l] += W[({drift} + i) * LANES + l]
-        for i in range({nx}):
+"""
+    + _SLOPE
+    + """        for i in range({nx}):
             for l in range(LANES):
                 W[({x} + i) * LANES + l] += dt * W[({slope} + i) * LANES + l]
 """
+)
 _CONTINUOUS = "".join([_HEAD, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE, _FADE])
 _DISCRETE = "".join([_HEAD, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
 _INDENT = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "measure": 20}
