@@ -128,11 +128,10 @@ def stability(model: Model, key: str) -> float:
     which are not white do not count as unstable.
     """
     fit, unknowns = model.fit, model.fit.unknowns
-    at, mine = unknowns.size - unknowns.split[2], np.zeros(0, dtype=int)
-    for t in unknowns.terms:
+    mine = np.zeros(0, dtype=int)
+    for t, own in zip(unknowns.terms, unknowns.places, strict=True):
         if t.key == key:
-            mine = np.arange(at, at + len(t.sizes))
-        at += t.count(unknowns.records)
+            mine = np.arange(own.start, own.start + len(t.sizes))
     others = np.setdiff1d(np.arange(unknowns.size), mine)
     mimic = _inverse(fit.information[np.ix_(others, others)]) @ fit.information[np.ix_(others, mine)]
     weights = np.zeros((unknowns.size, len(mine)))

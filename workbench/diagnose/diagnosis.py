@@ -237,7 +237,7 @@ def _measurable(model: Model, key: str) -> bool:
     if slot.effect.id == ROUNDED:
         return False
     j = plant.output_names.index(slot.place)
-    return any(np.isfinite(r.y[:, j]).any() for r in model.predictor.records)
+    return bool(model.predictor.measured[j])
 
 
 def _step(
@@ -447,12 +447,11 @@ def _only_more(named: Model, key: str, other: Model, other_key: str) -> bool:
 
 def _term_sizes(model: Model, key: str) -> tuple[np.ndarray, np.ndarray]:
     """Sizes of an effect and their standard deviations."""
-    fit, at = model.fit, model.fit.unknowns.size - model.fit.unknowns.split[2]
-    for t in fit.unknowns.terms:
+    fit = model.fit
+    for t, place in zip(fit.unknowns.terms, fit.unknowns.places, strict=True):
         if t.key == key:
-            own = slice(at, at + len(t.sizes))
+            own = slice(place.start, place.start + len(t.sizes))
             return fit.z[own], np.sqrt(np.diag(fit.covariance)[own])
-        at += t.count(fit.unknowns.records)
     raise KeyError(key)
 
 
@@ -533,7 +532,7 @@ def _rounding_limits(base: Model) -> tuple[Limit, ...]:
     return tuple(
         Limit(ROUNDED, channel.name, limit(base.predictor, j), channel.unit)
         for j, channel in enumerate(outputs)
-        if any(np.isfinite(r.y[:, j]).any() for r in base.predictor.records)
+        if base.predictor.measured[j]
     )
 
 
@@ -578,12 +577,13 @@ def _sizes(model: Model, key: str) -> dict[str, Estimate]:
     """Sizes and fitted shapes of an effect with 95 % intervals; of one with a phase, its amplitude."""
     unknowns, plant = model.fit.unknowns, model.predictor.plant
     sd, z = _spread(model), model.fit.z
-    at, found = unknowns.size - unknowns.split[2], {}
+    found = {}
     ends = {j: (v - 1.96 * s, v + 1.96 * s) for j, (v, s) in enumerate(zip(z, sd, strict=True))}
-    for t in unknowns.terms:
+    for t, own in zip(unknowns.terms, unknowns.places, strict=True):
         if t.key == key:
+            at = own.start
             for j, width in rough(model.fit, sd).items():
-                if at <= j < at + t.count(unknowns.records):
+                if at <= j < own.stop:
                     inflation = sd[j] ** 2 / max(model.fit.covariance[j, j], 1e-300)
                     low, high = profile(model.predictor, model.fit, j, width).interval(inflation)
                     ends[j] = (min(low, ends[j][0]), max(high, ends[j][1]))
@@ -606,7 +606,6 @@ def _sizes(model: Model, key: str) -> dict[str, Estimate]:
                 if slot not in t.free:
                     q, value = plant.slots[slot].parameter, float(unknowns.base[slot])
                     found[q.name] = Estimate(value, value, value, q.unit)
-        at += t.count(unknowns.records)
     return found
 
 

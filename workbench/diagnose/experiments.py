@@ -239,10 +239,10 @@ def odds_of(gap: float) -> float:
 def otherwise(model: Model, key: str) -> list[Model]:
     """The model, and the model with each shape of its effect `key` held elsewhere and all else fitted again to its records."""
     fit, old = model.fit, model.fit.unknowns
-    at, found, sizes = old.size - old.split[2], [model], _steps(model)
-    for i, t in enumerate(old.terms):
+    found, sizes = [model], _steps(model)
+    for i, (t, own) in enumerate(zip(old.terms, old.places, strict=True)):
         for j, slot in enumerate(t.free if t.key == key else ()):
-            place, p = at + len(t.sizes) + j, old.plant.slots[slot].parameter
+            place, p = own.start + len(t.sizes) + j, old.plant.slots[slot].parameter
             for factor in FACTORS:
                 base = old.base.copy()
                 base[slot] = np.clip(base[slot] * np.exp(fit.z[place]) * factor, p.low, p.high)
@@ -251,7 +251,6 @@ def otherwise(model: Model, key: str) -> list[Model]:
                 held = replace(old, terms=tuple(terms), base=base)
                 made = gauss_newton(model.predictor, held, np.delete(fit.z, place), sizes, rounds=2, enough=0.5)
                 found.append(Model(model.predictor, made))
-        at += t.count(old.records)
     return found
 
 
@@ -300,8 +299,8 @@ def foreseen(true: Model, rival: Model, run: Experiment) -> Foreseen:
 
 def _logged(model: Model) -> set[str]:
     """Names of the inputs, and of the outputs that the records of a model hold."""
-    plant, records = model.predictor.plant, model.predictor.records
-    seen = [name for j, name in enumerate(plant.output_names) if any(np.isfinite(r.y[:, j]).any() for r in records)]
+    plant = model.predictor.plant
+    seen = [name for name, measured in zip(plant.output_names, model.predictor.measured, strict=True) if measured]
     return {*plant.input_names, *seen}
 
 
@@ -342,10 +341,9 @@ def _open(model: Model, start: np.ndarray, scale: np.ndarray) -> _Open:
 def _steps(model: Model) -> np.ndarray:
     """Steps (ne) of the effects' sizes for differences."""
     fit, unknowns = model.fit, model.fit.unknowns
-    steps, at = np.zeros(len(unknowns.plant.slots)), unknowns.size - unknowns.split[2]
-    for t in unknowns.terms:
-        steps[list(t.sizes)] = STEP * np.sqrt(np.diag(fit.covariance)[at : at + len(t.sizes)])
-        at += t.count(unknowns.records)
+    steps = np.zeros(len(unknowns.plant.slots))
+    for t, own in zip(unknowns.terms, unknowns.places, strict=True):
+        steps[list(t.sizes)] = STEP * np.sqrt(np.diag(fit.covariance)[own.start : own.start + len(t.sizes)])
     return steps
 
 

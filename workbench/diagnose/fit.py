@@ -9,6 +9,7 @@ the prior of a uniform distribution of that half-width, sigma = t/sqrt(3). Where
 
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -100,14 +101,15 @@ class Unknowns:
         theta = np.log(point.p[list(self.parameters)] / nominal) / self.sigma
         return np.concatenate([theta, ((point.start - self.start) / self.scale).ravel(), *terms])
 
+    @cached_property
+    def places(self) -> tuple[slice, ...]:
+        """Where each term's numbers stand in a vector of unknowns."""
+        ends = self.size - self.split[2] + np.cumsum([0, *(t.count(self.records) for t in self.terms)])
+        return tuple(slice(int(first), int(last)) for first, last in pairwise(ends))
+
     def of_terms(self, z: np.ndarray) -> list[np.ndarray]:
         """Each term's numbers."""
-        n, nx, _ = self.split
-        at, parts = n + self.records * nx, []
-        for t in self.terms:
-            parts.append(z[at : at + t.count(self.records)])
-            at += t.count(self.records)
-        return parts
+        return [z[own] for own in self.places]
 
     def point(self, z: np.ndarray) -> Point:
         """Parameters, effects and starts of a vector of unknowns."""
@@ -134,15 +136,13 @@ class Unknowns:
     def clip(self, z: np.ndarray) -> np.ndarray:
         """The unknowns with sizes and shapes inside their bounds."""
         z = z.copy()
-        n, nx, _ = self.split
-        at = n + self.records * nx
-        for t in self.terms:
+        for t, own in zip(self.terms, self.places, strict=True):
+            at = own.start
             for j, slot in enumerate(t.sizes):
                 p = self.plant.slots[slot].parameter
                 z[at + j] = np.clip(z[at + j], p.low, p.high)
             shapes = slice(at + len(t.sizes), at + len(t.sizes) + len(t.free))
             z[shapes] = np.clip(z[shapes], -3.0, 3.0)
-            at += t.count(self.records)
         return z
 
     def steps(self, sizes: np.ndarray) -> np.ndarray:

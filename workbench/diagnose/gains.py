@@ -82,8 +82,8 @@ def _turned(made: Predictor, unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
     From a wrong phase a fit makes the amplitude small first, and then any phase will do.
     """
     z, angles = z.copy(), 2.0 * np.pi * np.arange(PHASES) / PHASES
-    at = unknowns.size - unknowns.split[2]
-    for t in unknowns.terms:
+    for t, own in zip(unknowns.terms, unknowns.places, strict=True):
+        at = own.start
         point, amplitude, best = unknowns.point(z), np.linalg.norm(z[at : at + 2]), []
         for i in range(unknowns.records):
             eta = np.repeat(point.eta[i][None], PHASES, axis=0)
@@ -91,8 +91,7 @@ def _turned(made: Predictor, unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
             cost = (made.errors(i, point.p[None], eta, point.start[i][None]) ** 2).sum(axis=(1, 2))
             best.append(_lowest(cost, angles))
         z[at : at + 2] = amplitude * np.array([np.cos(best[0]), np.sin(best[0])])
-        at += t.count(unknowns.records)
-        z[at - unknowns.records + 1 : at] = np.array(best[1:]) - best[0]
+        z[at + 2 : own.stop] = np.array(best[1:]) - best[0]
     return z
 
 
@@ -106,12 +105,10 @@ def _lowest(cost: np.ndarray, angles: np.ndarray) -> float:
 def _of_same_amplitude(unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
     """Phases are found on the record, amplitudes are not."""
     z = z.copy()
-    at = unknowns.size - unknowns.split[2]
-    for t in unknowns.terms:
-        stated = np.linalg.norm(unknowns.base[list(t.sizes)])
-        found = np.linalg.norm(z[at : at + 2])
-        z[at : at + 2] *= stated / found if found > 0.0 else 0.0
-        at += t.count(unknowns.records)
+    for t, own in zip(unknowns.terms, unknowns.places, strict=True):
+        pair = slice(own.start, own.start + 2)
+        stated, found = np.linalg.norm(unknowns.base[list(t.sizes)]), np.linalg.norm(z[pair])
+        z[pair] *= stated / found if found > 0.0 else 0.0
     return z
 
 

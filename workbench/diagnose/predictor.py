@@ -123,6 +123,11 @@ class Predictor:
         """Number of measured values in all records."""
         return int(sum(np.isfinite(r.seen).sum() for r in self.records))
 
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """Which outputs (ny) any record holds."""
+        return np.any([np.isfinite(r.y).any(axis=0) for r in self.records], axis=0)
+
     def errors(
         self, i: int, p: np.ndarray, eta: np.ndarray, start: np.ndarray, *, white: bool = True, drift: bool = True
     ) -> np.ndarray:

@@ -73,14 +73,14 @@ def profile(predictor: Predictor, fit: Fit, index: int, width: float) -> Profile
 def rough(fit: Fit, sd: np.ndarray) -> dict[int, float]:
     """Unknowns in which the errors are not smooth, with the width of the profile: irregular sizes, dates (in logarithms)."""
     unknowns, found = fit.unknowns, {}
-    slots, at = unknowns.plant.slots, unknowns.size - unknowns.split[2]
-    for t in unknowns.terms:
+    slots = unknowns.plant.slots
+    for t, own in zip(unknowns.terms, unknowns.places, strict=True):
+        at = own.start
         if not slots[t.sizes[0]].effect.regular:
             found[at] = max(0.5 * abs(fit.z[at]), 6.0 * sd[at])
         for j, slot in enumerate(t.free, start=at + len(t.sizes)):
             if slots[slot].parameter.grid_unit is GridUnit.RECORD:
                 found[j] = DATE
-        at += t.count(unknowns.records)
     return found
 
 

@@ -163,8 +163,7 @@ def is_late(predictor: Predictor, key: str) -> bool:
     Where there are more sensors the others contradict it.
     """
     effect = next(slot.effect for slot in predictor.plant.slots if slot.key == key)
-    measured = np.any([np.isfinite(r.y).any(axis=0) for r in predictor.records], axis=0)
-    return effect.domain is Domain.SHIFT and effect.memories > 0 and np.sum(measured) <= FEW_SENSORS
+    return effect.domain is Domain.SHIFT and effect.memories > 0 and np.sum(predictor.measured) <= FEW_SENSORS
 
 
 def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model | None:
@@ -173,7 +172,7 @@ def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model | None:
     Each time begins with the gains of the one before: those of a filter without a memory would run away.
     """
     unknowns, plant, predictor = start.unknowns, model.predictor.plant, model.predictor
-    at, best = unknowns.size - unknowns.terms[-1].count(unknowns.records), None
+    at, best = unknowns.places[-1].start, None
     for samples in LATE:
         z = start.z.copy()
         z[:at], z[at] = model.fit.z, samples * plant.dt

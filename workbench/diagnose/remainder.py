@@ -84,9 +84,8 @@ def label(channel: tuple[str, str]) -> str:
 
 def _channels(model: Model) -> list[tuple[str, str]]:
     predictor = model.predictor
-    measured = np.any([np.isfinite(r.y).any(axis=0) for r in predictor.records], axis=0)
     return [("rate", name) for name in predictor.entries] + [
-        ("sensor", name) for name, seen in zip(predictor.plant.output_names, measured, strict=True) if seen
+        ("sensor", name) for name, seen in zip(predictor.plant.output_names, predictor.measured, strict=True) if seen
     ]
 
 
