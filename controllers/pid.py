@@ -1,51 +1,57 @@
-"""Two decoupled PI loops around an operating point, as in the identification experiments of [1] section 1.4.2.
+"""PID laws with fixed gains: the parallel form, the standard form, and decoupled PI loops around an operating point.
 
-    u_i = bias_i + kp_i e_i + z_i,    e_i = r_i - y_i,    z_i+ = z_i + ki_i dt e_i
+    parallel:  u = u0 + Kp e + Ki int e dt + Kd de/dt
+    standard:  u = u0 + K (e + 1/Ti int e dt + Td de/dt),  Tf = Td / N
 
-A negative gain is a loop whose input acts in the other direction. [1] "Experimental Modelling of a Web Winding Machine".
+The law itself, with weights, filter, limits and anti-windup, is that of `scheduled_pid` with one constant term.
 """
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.records import field, record
+from controllers.scheduled_pid import AntiWindup, BackCalculation, ScheduledPID
 
 
-@record
-class PILoops:
-    """One PI loop for each actuated input: (actuated[i] from measured[i] and its set-point); see the module."""
+def pid(
+    actuated: Sequence[str],
+    measured: Sequence[str],
+    references: Sequence[str],
+    dt: float,
+    Kp: np.ndarray,
+    Ki: np.ndarray,
+    Kd: np.ndarray | None = None,
+    *,
+    Tf: float = 0.0,
+    u0: np.ndarray | None = None,
+    b: np.ndarray | None = None,
+    c: np.ndarray | None = None,
+    low: np.ndarray | None = None,
+    high: np.ndarray | None = None,
+    rate: np.ndarray | None = None,
+    anti_windup: AntiWindup | None = None,
+    name: str = "pid",
+) -> ScheduledPID:
+    """The parallel form with gains (nu, ny), or (n,) for n loops of one input and one output each.
 
-    actuated: tuple[str, ...]
-    measured: tuple[str, ...]
-    references: tuple[str, ...]
-    kp: np.ndarray = field("n")
-    ki: np.ndarray = field("n", unit="1/s")
-    bias: np.ndarray = field("n")
-    dt: float = field("", unit="s", low=1e-9)
-    name: str = "pi-loops"
-    schedule: str | None = None
+    Set-point weights: b = 1 and c = 0 (no derivative of the set-point) unless given; no limits and u0 = 0 unless given.
+    """
+    Kd = np.zeros(np.shape(Kp)) if Kd is None else Kd
+    matrices = [np.atleast_2d(np.diag(K) if np.ndim(K) == 1 else K) for K in (Kp, Ki, Kd)]
+    nu, ny = matrices[0].shape
 
-    @property
-    def gains(self) -> np.ndarray:
-        return np.concatenate([self.kp, self.ki * self.dt, self.bias])
+    def each(given: np.ndarray | None, n: int, default: float) -> np.ndarray:
+        return np.broadcast_to(np.asarray(default if given is None else given, dtype=float), n)
 
-    def init(self) -> np.ndarray:
-        """The integrals z, all zero."""
-        return np.zeros(len(self.kp))
+    Kp, Ki, Kd = (K[None] for K in matrices)
+    return ScheduledPID(
+        tuple(actuated), tuple(measured), tuple(references), dt, Kp, Ki, Kd, each(u0, nu, 0.0)[None],
+        each(b, ny, 1.0), each(c, ny, 0.0), each(low, nu, -np.inf), each(high, nu, np.inf), each(rate, nu, np.inf), Tf,
+        anti_windup or BackCalculation(), name=name,
+    )  # fmt: skip
 
-    def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any = None) -> tuple[list, list]:
-        """(u, z+) on numbers, arrays or symbols."""
-        del rho
-        n = len(self.kp)
-        u, after = [], []
-        for i in range(n):
-            e = r[i] - y[i]
-            u.append(gains[2 * n + i] + gains[i] * e + state[i])
-            after.append(state[i] + gains[n + i] * e)
-        return u, after
 
-    def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
-        """One sample: (u, next state)."""
-        u, after = self.law(self.gains, state, r, y, rho)
-        return np.array(u), np.array(after)
+def standard_form(K: np.ndarray, Ti: np.ndarray, Td: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Kp, Ki, Kd of the parallel form from the standard form's gain, integral time and derivative time, each (n,) or a number."""
+    K = np.asarray(K, dtype=float)
+    return K, K / np.asarray(Ti, dtype=float), K * np.asarray(Td, dtype=float)

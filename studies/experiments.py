@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from controllers.pid import PILoops
+from controllers.pid import pid
+from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS, WEB_WINDING
 from workbench import excitation
 from workbench.errors import check_known
@@ -34,17 +35,18 @@ class Plan:
         return {key: {**self.effects.get(key, {}), **own.get(key, {})} for key in {**self.effects, **own}}
 
 
-def web_winding_loops(plant: Plant = WEB_WINDING) -> PILoops:
+def web_winding_loops(plant: Plant = WEB_WINDING) -> ScheduledPID:
     """The two decoupled loops of the identification experiments: w3 by V2, dancer angle by V1."""
     _, u0 = plant.equilibrium()
-    return PILoops(
+    return pid(
         actuated=("V2", "V1"),
         measured=("w3", "theta"),
         references=("w3_set", "theta_set"),
-        kp=np.array([0.010, -0.0050]),
-        ki=np.array([0.050, -0.020]),
-        bias=np.array([u0[1], u0[0]]),
         dt=plant.dt,
+        Kp=np.array([0.010, -0.0050]),
+        Ki=np.array([0.050, -0.020]),
+        u0=np.array([u0[1], u0[0]]),
+        name="pi-loops",
     )
 
 

@@ -61,6 +61,8 @@ def _checked(owner: str, f: dataclasses.Field, value: Any, sizes: dict[str, tupl
     if not np.all((array >= low) & (array <= high)):
         bad = array[~((array >= low) & (array <= high))].flat[0]
         unit = f" {f.metadata['unit']}" * bool(f.metadata["unit"])
+        if math.isnan(bad):
+            raise RecordError(f"{place}: a hole (not a number) at {np.argwhere(np.isnan(array))[0].tolist()}")
         raise RecordError(f"{place}: {bad:g}{unit} is outside [{low:g}, {high:g}]")
     if not names:
         return float(array)

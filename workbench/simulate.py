@@ -57,13 +57,15 @@ def simulate(
     parameters: Mapping[str, float] | None = None,
     effects: EffectSizes | None = None,
     substeps: int | None = None,
+    bumpless: bool = False,
 ) -> Run:
     """One closed-loop run of `plant` under `controller`; see the module.
 
     parameters: values that differ from the nominal ones. effects: missing physics that is switched on, e.g.
     {"coulomb@unwind": {"level": 0.002}}. substeps: integrator steps a sample; default: as many as the run needs.
+    bumpless: the controller takes over from the inputs of the start, else it begins as its `init` says.
     """
-    lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects))
+    lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects), bumpless)
     used = _substeps(plant, lanes, substeps)
     run = stepper.run(plant, controller, lanes, used)
     _check_range(plant, scenario, run.states[0])
@@ -95,6 +97,7 @@ def simulate_batch(
     effects: np.ndarray | None = None,
     substeps: int | None = None,
     threads: int | None = None,
+    bumpless: bool = False,
 ) -> stepper.Trajectories:
     """R runs side by side: `parameters` (R, np) and `effects` (R, ne) in the plant's order, one scenario or one a run.
 
@@ -108,7 +111,7 @@ def simulate_batch(
     for kind, size in (("scenarios", len(each)), ("parameters", len(p)), ("effects", len(eta))):
         if size not in (1, R):
             raise InputError(f"{size} {kind} for {R} runs", file=plant.name, mend=f"give 1 or {R}")
-    lanes = _lanes(plant, controller, each, p, eta)
+    lanes = _lanes(plant, controller, each, p, eta, bumpless)
     run = stepper.run(plant, controller, lanes, _substeps(plant, lanes, substeps), threads or stepper.cores())
     for i, k in enumerate(_first_outside(plant, run.states)):
         for values in (run.states, run.measured, run.commands):
@@ -143,7 +146,9 @@ def _substeps(plant: Plant, lanes: stepper.Lanes, wanted: int | None) -> int:
     return wanted or stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold)
 
 
-def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray) -> stepper.Lanes:
+def _lanes(
+    plant: Plant, controller: Controller, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray, bumpless: bool
+) -> stepper.Lanes:
     p, eta = np.atleast_2d(p), np.atleast_2d(eta)
     plant.check_parameters(p)
     plant.check_effects(eta)
@@ -155,13 +160,17 @@ def _lanes(plant: Plant, controller: Controller, scenarios: list[Scenario], p: n
     for values in {tuple(sorted(scenario.start.items())) for scenario in scenarios}:
         own = [i for i in range(R) if tuple(sorted(scenarios[i % len(scenarios)].start.items())) == values]
         start[own], hold[own] = plant.equilibria(p[own], **dict(values))
+    commanded = hold[:, [plant.input_names.index(name) for name in controller.actuated]]
+    memory = (
+        [controller.init(u) for u in commanded] if bumpless else np.broadcast_to(controller.init(), (R, len(controller.init())))
+    )
     signals = [_signals(plant, controller, scenario) for scenario in scenarios]
     reference, disturbance, noise = (np.broadcast_to(np.stack(s), (R, *s[0].shape)) for s in zip(*signals, strict=True))
     return stepper.Lanes(
         parameters=p,
         effects=eta,
         gains=np.broadcast_to(controller.gains, (R, len(controller.gains))),
-        memory=np.broadcast_to(controller.init(), (R, len(controller.init()))),
+        memory=np.reshape(memory, (R, -1)),
         start=start,
         hold=hold,
         reference=reference,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from controllers.pid import PILoops
+from controllers.pid import pid
 from tests.hidden import axis, parts, robot, winding
 from tests.hidden.case import MACHINES, MIX, SHARES, Kind, _Bench, draw, foreign, further, lot_of, records
 from tests.hidden.catalogue import SIZE, Hidden, fields_of, shapes
@@ -92,9 +92,9 @@ def mine(speed, truth=()):
 
 def theirs(speed, truth=()):
     """The workbench's own simulation of the same runs."""
-    loops = PILoops(
-        ("V2", "V1"), ("w3", "theta"), ("w3_set", "theta_set"), np.array([0.01, -0.005]), np.array([0.05, -0.02]), HOLD[::-1],
-        winding.DT,
+    loops = pid(
+        ("V2", "V1"), ("w3", "theta"), ("w3_set", "theta_set"), winding.DT, np.array([0.01, -0.005]), np.array([0.05, -0.02]),
+        u0=HOLD[::-1],
     )  # fmt: skip
     effects = {h.key: {"cosine" if name == "amplitude" else name: value for name, value in h.parameters.items()} for h in truth}
     scenario = Scenario("quiet", {"w3_set": speed, "theta_set": ANGLE})

@@ -40,12 +40,17 @@ def test_a_size_name_stands_for_one_number_throughout():
         Line(np.ones((3, 2)), np.ones((1, 2)))
 
 
-@pytest.mark.parametrize("bad", [-1e-9, 2.0001, math.nan, math.inf])
-def test_bounds_are_inclusive_and_nan_is_outside_every_bound(bad):
+@pytest.mark.parametrize("bad", [-1e-9, 2.0001, math.inf])
+def test_bounds_are_inclusive(bad):
     Line([[0.0, 2.0]], np.zeros(2))
     with pytest.raises(RecordError, match=r"Line.gain: .* V/rad is outside \[0, 2\]"):
         Line([[0.0, bad]], np.zeros(2))
-    with pytest.raises(RecordError, match=r"Line.offset: nan is outside"):
+
+
+def test_a_hole_is_named_with_its_place_whatever_the_bounds():
+    with pytest.raises(RecordError, match=r"Line.gain: a hole \(not a number\) at \[0, 1\]"):
+        Line([[0.0, math.nan]], np.zeros(2))
+    with pytest.raises(RecordError, match=r"Line.offset: a hole \(not a number\) at \[1\]"):
         Line([[0.0, 1.0]], [0.0, math.nan])
 
 

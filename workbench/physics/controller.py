@@ -40,8 +40,8 @@ class Controller(Protocol):
 
     @property
     def gains(self) -> np.ndarray: ...
-    def init(self) -> np.ndarray:
-        """The memory before the first sample."""
+    def init(self, u: np.ndarray | None = None) -> np.ndarray:
+        """The memory before the first sample; given u, that with which the first command is u, where the law can."""
         ...
 
     def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any) -> tuple[list, list]:
@@ -67,8 +67,9 @@ class Playback:
     def gains(self) -> np.ndarray:
         return np.empty(0)
 
-    def init(self) -> np.ndarray:
+    def init(self, u: np.ndarray | None = None) -> np.ndarray:
         """No memory."""
+        del u
         return np.empty(0)
 
     def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any = None) -> tuple[list, list]:

@@ -1,0 +1,276 @@
+"""Discrete PID whose gains are surfaces over the schedule; one constant surface is a fixed PID.
+
+    v  = u0 + Kp (b r - y) + z + Kd f                            parallel form, gains are matrices (nu, ny) of rho
+    f  = a f- + (1 - a) ((c r - y) - (c r - y)-) / dt,           a = Tf / (Tf + dt): filtered derivative
+    u  = v within `low`, `high` and `rate` from the last command
+    z+ = z + dt Ki (r - y) + what keeps z from winding up
+
+The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0 leaves u where it
+is (both are the same law where rho stands still). As a transfer function from e = r - y, with b = c = 1 and z = exp(s dt):
+
+    K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf)
+
+Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weights, windup) and 13 (the discrete law); Rugh and
+Shamma, "Research on gain scheduling", Automatica 36 (2000), section 5, on where the integral stands.
+"""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.lpv import CONSTANT, Basis
+from workbench.records import field, record
+
+if TYPE_CHECKING:
+    import control
+
+FAR = 1e300  # no limit at all, in numbers
+
+
+@record
+class BackCalculation:
+    """z+ += dt / tracking (u - v): the integral follows the command that a limit allowed, with this time constant.
+
+    tracking None: |Kp| / |Ki| of each input, the integral time, but never below a sample.
+    """
+
+    tracking: np.ndarray | None = None  # (nu,) in s
+
+
+@record
+class Clamping:
+    """The integral stands still while a limit is reached and it would push further beyond it."""
+
+
+AntiWindup = BackCalculation | Clamping
+
+
+@record
+class ScheduledPID:
+    """u from r and y by a PID law with gains K(rho) = sum_j K_j phi_j(rho); see the module.
+
+    Kp (m, nu, ny), Ki [1/s], Kd [s], u0 (m, nu): coefficients of the m basis functions. `schedule` names the measured output
+    that is rho; outside `span` the gains hold their edge value. b, c (ny): set-point weights of the proportional and the
+    derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu): limits of the command.
+    """
+
+    actuated: tuple[str, ...]
+    measured: tuple[str, ...]
+    references: tuple[str, ...]
+    dt: float = field("", unit="s", low=1e-9)
+    Kp: np.ndarray = field("m nu ny", low=-FAR, high=FAR)
+    Ki: np.ndarray = field("m nu ny", unit="1/s", low=-FAR, high=FAR)
+    Kd: np.ndarray = field("m nu ny", unit="s", low=-FAR, high=FAR)
+    u0: np.ndarray = field("m nu", low=-FAR, high=FAR)
+    b: np.ndarray = field("ny")
+    c: np.ndarray = field("ny")
+    low: np.ndarray = field("nu")
+    high: np.ndarray = field("nu")
+    rate: np.ndarray = field("nu", unit="1/s", low=1e-300)
+    Tf: float = field("", unit="s", low=0.0)
+    anti_windup: AntiWindup = field(default_factory=BackCalculation)
+    basis: Basis = CONSTANT
+    schedule: str | None = None
+    span: np.ndarray = field("2", default=(-np.inf, np.inf))
+    name: str = "scheduled-pid"
+
+    def __post_init__(self):
+        m, nu, ny = self.Kp.shape
+        for kind, names, size in (
+            ("actuated", self.actuated, nu),
+            ("measured", self.measured, ny),
+            ("references", self.references, ny),
+        ):
+            if len(names) != size:
+                raise InputError(f"{len(names)} {kind} names for gains of shape ({nu}, {ny})", file=self.name)
+        if len(self.basis.names) != m:
+            raise InputError(f"{m} coefficients for {len(self.basis.names)} basis functions", file=self.name)
+        for name, low, high in zip(self.actuated, self.low, self.high, strict=True):
+            if not low < high:
+                raise InputError(f"lower limit {low:g} is not below the upper {high:g}", file=self.name, channel=name)
+        if self.schedule is None and m > 1:
+            raise InputError("the gains move with a schedule that is not named", file=self.name, mend="give schedule=")
+        if self.schedule is not None and not (np.isfinite(self.span).all() and self.span[0] < self.span[1]):
+            raise InputError(
+                f"schedule range from {self.span[0]:g} to {self.span[1]:g}", file=self.name, mend="give span=(lowest, highest)"
+            )
+        if self.tracking.shape != (nu,) or not np.all(self.tracking >= self.dt):
+            raise InputError(
+                f"tracking times {self.tracking.tolist()} s", file=self.name, mend=f"{nu} of them, each at least {self.dt:g} s"
+            )
+
+    @property
+    def tracking(self) -> np.ndarray:
+        """Time constants (nu,) in s with which the integrals follow a limited command; infinite for clamping."""
+        if isinstance(self.anti_windup, Clamping):
+            return np.full(len(self.actuated), np.inf)
+        if self.anti_windup.tracking is not None:
+            return np.atleast_1d(np.asarray(self.anti_windup.tracking, dtype=float))
+        Kp, Ki, _, _ = self.gains_at(float(np.mean(self.span)) if self.schedule else None)
+        direct, integral = np.linalg.norm(Kp, axis=1), np.linalg.norm(Ki, axis=1)
+        times = np.divide(direct, integral, out=np.full(len(direct), self.dt), where=integral > 0.0)
+        return np.maximum(times, self.dt)
+
+    # ---- frozen ---------------------------------------------------------------------------------------------------------
+
+    def outside(self, rho: np.ndarray) -> float:
+        """How far a schedule leaves the span, where the gains hold their edge value, in widths of the span; 0 inside."""
+        if self.schedule is None:
+            return 0.0
+        return float(np.max(np.maximum(self.span[0] - rho, rho - self.span[1]), initial=0.0) / np.ptp(self.span))
+
+    def gains_at(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Kp, Ki, Kd (nu, ny) and u0 (nu,) at one schedule value."""
+        weight = self.basis(np.clip(0.0 if rho is None else rho, *self.span))
+        return tuple(np.tensordot(weight, K, 1) for K in (self.Kp, self.Ki, self.Kd, self.u0))  # type: ignore[return-value]
+
+    def at(self, rho: float | None = None) -> "control.StateSpace":
+        """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y."""
+        import control  # takes a second to import, and only this needs it
+
+        Kp, Ki, Kd, _ = self.gains_at(rho)
+        nu, ny = Kp.shape
+        a, one = self.Tf / (self.Tf + self.dt), np.eye(ny)
+        e, proportional, derivative = (np.hstack([np.diag(weight), -one]) for weight in (np.ones(ny), self.b, self.c))
+        new = (1 - a) / self.dt * derivative  # f = before (z, f-, d-) + new (r, y)
+        before = np.hstack([np.zeros((ny, nu)), a * one, -(1 - a) / self.dt * one])
+        integral = np.hstack([np.eye(nu), np.zeros((nu, 2 * ny))])
+        A = np.vstack([integral, before, np.zeros((ny, nu + 2 * ny))])
+        B = np.vstack([self.dt * Ki @ e, new, derivative])
+        C = integral + Kd @ before
+        D = Kp @ proportional + Kd @ new
+        return control.StateSpace(
+            A, B, C, D, self.dt, inputs=[*self.references, *self.measured], outputs=list(self.actuated), name=self.name
+        )
+
+    def response(self, omega: np.ndarray, rho: float | None = None) -> np.ndarray:
+        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1."""
+        Kp, Ki, Kd, _ = self.gains_at(rho)
+        return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack([Kp, Ki, Kd]))
+
+    # ---- the law --------------------------------------------------------------------------------------------------------
+
+    @property
+    def gains(self) -> np.ndarray:
+        """Every number of the law but those of the basis, in the order in which `law` takes them."""
+        numbers = (self.Kp, self.Ki * self.dt, self.Kd, self.u0, self.b, self.c, self.low, self.high, self.rate * self.dt)
+        decay = self.Tf / (self.Tf + self.dt)
+        every = np.concatenate([*(n.ravel() for n in numbers), self.dt / self.tracking, [decay, (1 - decay) / self.dt]])
+        return np.clip(every, -FAR, FAR)  # compiled limits count on finite numbers
+
+    def init(self, u: np.ndarray | None = None) -> np.ndarray:
+        """Memory before the first sample: z (nu), f (ny), last c r - y (ny), last u (nu), cold, taking over.
+
+        Without u the first command is that of z = 0. With u it is u itself: a start without a bump.
+        """
+        nu, ny = self.Kp.shape[1:]
+        last = np.zeros(nu) if u is None else np.asarray(u, dtype=float)
+        return np.concatenate([np.zeros(nu + 2 * ny), last, [1.0, 0.0 if u is None else 1.0]])
+
+    def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any = None) -> tuple[list, list]:
+        """(u, memory) on numbers, arrays or symbols."""
+        K, at = self._numbers(gains, rho), self._split(state)
+        direct, f, d = self._direct(K, at, r, y)
+        after, u = [], []
+        for i, own in enumerate(direct):
+            z = at.z[i] + at.takes_over * (at.u[i] - own - at.z[i])
+            v = own + z
+            reach = K.rate[i] + FAR * at.cold * (1.0 - at.takes_over)  # a cold start has no last command to be near to
+            near = np.maximum(at.u[i] - reach, np.minimum(at.u[i] + reach, v))
+            u.append(np.maximum(K.low[i], np.minimum(K.high[i], near)))
+            push = sum((K.Ki[i][j] * (r[j] - y[j]) for j in range(1, len(y))), K.Ki[i][0] * (r[0] - y[0]))
+            if isinstance(self.anti_windup, Clamping):
+                push = push * (1.0 - ((v - u[i]) * push > 0.0))
+            after.append(z + push + K.follow[i] * (u[i] - v))
+        return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold]
+
+    def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """One sample: (u, next memory)."""
+        u, after = self.law(self.gains, state, r, y, rho)
+        return np.array(u, dtype=float), np.array(after, dtype=float)
+
+    def follow(self, state: np.ndarray, u: np.ndarray, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> np.ndarray:
+        """Memory after a sample in which somebody else commanded u: a person, another controller, this one with other gains.
+
+        The next command goes on from u without a bump; use it in place of `step` while the loop is open, and once with the new
+        law when gains change.
+        """
+        K, at = self._numbers(self.gains, rho), self._split(state)
+        direct, f, d = self._direct(K, at, r, y)
+        z = [u[i] - own for i, own in enumerate(direct)]
+        return np.array([*z, *f, *d, *u, 0.0, 0.0], dtype=float)
+
+    def _direct(self, K: "_Numbers", at: "_Memory", r: Any, y: Any) -> tuple[list, list, list]:
+        """The command without the integral, f, and c r - y."""
+        d = [K.c[j] * r[j] - y[j] for j in range(len(y))]
+        f = [K.decay * at.f[j] + K.fresh * (d[j] - at.d[j]) * (1.0 - at.cold) for j in range(len(y))]
+        direct = []
+        for i, own in enumerate(K.u0):
+            for j in range(len(y)):
+                own = own + K.Kp[i][j] * (K.b[j] * r[j] - y[j]) + K.Kd[i][j] * f[j]
+            direct.append(own)
+        return direct, f, d
+
+    def _numbers(self, gains: Any, rho: Any) -> "_Numbers":
+        m, nu, ny = self.Kp.shape
+        phi = self.basis.functions(0.0 if rho is None else np.maximum(self.span[0], np.minimum(self.span[1], rho)))
+        rest = iter(range(len(self.gains)))
+
+        def take(n: int) -> list:
+            return [gains[next(rest)] for _ in range(n)]
+
+        def surface(n: int) -> list:
+            terms = [take(n) for _ in range(m)]
+            if m == 1:
+                return terms[0] if self.schedule is None else [phi[0] * k for k in terms[0]]
+            return [sum((w * own[i] for w, own in zip(phi[1:], terms[1:], strict=True)), phi[0] * terms[0][i]) for i in range(n)]
+
+        def matrix() -> list[list]:
+            flat = surface(nu * ny)
+            return [flat[i * ny : (i + 1) * ny] for i in range(nu)]
+
+        return _Numbers(
+            Kp=matrix(), Ki=matrix(), Kd=matrix(), u0=surface(nu), b=take(ny), c=take(ny), low=take(nu), high=take(nu),
+            rate=take(nu), follow=take(nu), decay=take(1)[0], fresh=take(1)[0],
+        )  # fmt: skip
+
+    def _split(self, state: Any) -> "_Memory":
+        nu, ny = self.Kp.shape[1:]
+        ends = np.cumsum([nu, ny, ny, nu])
+        z, f, d, u = ([state[i] for i in range(b - n, b)] for b, n in zip(ends, (nu, ny, ny, nu), strict=True))
+        return _Memory(z, f, d, u, state[ends[-1]], state[ends[-1] + 1])
+
+
+class _Numbers(NamedTuple):
+    """The numbers of the law at one schedule value."""
+
+    Kp: list[list]
+    Ki: list[list]
+    Kd: list[list]
+    u0: list
+    b: list
+    c: list
+    low: list
+    high: list
+    rate: list
+    follow: list
+    decay: Any
+    fresh: Any
+
+
+class _Memory(NamedTuple):
+    """The law's memory; see `ScheduledPID.init`."""
+
+    z: list
+    f: list
+    d: list
+    u: list
+    cold: Any
+    takes_over: Any
+
+
+def parts(omega: np.ndarray, dt: float, Tf: float) -> np.ndarray:
+    """1, dt / (z - 1), (z - 1) / ((Tf + dt) z - Tf) at z = exp(j omega dt): what Kp, Ki, Kd are multiplied with; (N, 3)."""
+    z = np.exp(1j * np.asarray(omega) * dt)
+    return np.stack([np.ones_like(z), dt / (z - 1.0), (z - 1.0) / ((Tf + dt) * z - Tf)], axis=-1)
