@@ -1,0 +1,346 @@
+"""From an identified LPV model to a scheduled PID whose frozen loops keep their bounds over the whole schedule.
+
+First every knot alone, which says what can be reached there; then one program for all, with the surface's coefficients as
+variables, that brings every point as near as it can to that. Then the margins are computed anew with python-control, ten times
+finer in frequency and four times finer in the schedule; where they fail, the point and the frequency join the program. A law
+that does not keep its bounds there is refused.
+
+Frozen margins say nothing about a schedule that moves fast; that is a matter of robustness, not of this design.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from controllers.scheduled_pid import ScheduledPID, parts
+from controllers.tuning import DEFAULT, Bounds, Tuned, tune
+from workbench.errors import InputError
+from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear
+from workbench.records import field, record
+
+FINER = 10  # times as many frequencies when the margins are checked
+BETWEEN = 4  # schedule values checked per value in the program
+ROOM = 5e-3  # by which the programs keep the bounds more than asked, for what lies between
+ENOUGH = 2e-3  # gain of a program below which a design is done
+REFINEMENTS = 6
+PEAKS = ("sensitivity", "complementary", "effort", "loops", "radius")
+
+Say = Callable[[str], None]
+
+
+@record
+class FrozenPoint:
+    """x+ = A x + B u, y = C x + D u: the model at one schedule value, outputs in units of `scale`."""
+
+    rho: float | None
+    dt: float = field("", unit="s")
+    A: np.ndarray = field("nx nx")
+    B: np.ndarray = field("nx nu")
+    C: np.ndarray = field("ny nx")
+    D: np.ndarray = field("ny nu")
+    scale: np.ndarray = field("ny")
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """C (exp(j omega dt) - A)^-1 B + D, (N, ny, nu)."""
+        z = np.exp(1j * np.asarray(omega) * self.dt)
+        x = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B)
+        return (self.C @ x + self.D) / self.scale[:, None]
+
+    @property
+    def gain(self) -> np.ndarray:
+        return np.real(self.response(np.zeros(1))[0])
+
+
+@record
+class Margins:
+    """Peaks over frequency of the frozen loops at n schedule values, computed with python-control.
+
+    sensitivity, complementary: spectral norms of S and T at the loop broken as the bounds say; effort: |Q| as a multiple of
+    1 / sigma_min(P(0)); loops (n, nu): |S_ii| with one loop broken at the plant input and the others closed; radius: largest
+    modulus of a closed-loop pole; bandwidth [rad/s]: where |S| first reaches 1 / sqrt(2); frequencies (n, 3) [rad/s]: where |S|,
+    |T| and |Q| peak.
+    """
+
+    rho: np.ndarray = field("n")
+    sensitivity: np.ndarray = field("n")
+    complementary: np.ndarray = field("n")
+    effort: np.ndarray = field("n")
+    loops: np.ndarray = field("n nu")
+    radius: np.ndarray = field("n")
+    bandwidth: np.ndarray = field("n", unit="rad/s")
+    frequencies: np.ndarray = field("n 3", unit="rad/s")
+
+    def broken(self, bounds: Bounds) -> np.ndarray:
+        """Where a bound is not kept, (n,)."""
+        over = (self.sensitivity > bounds.sensitivity) | (self.complementary > bounds.complementary)
+        return over | (self.effort > bounds.effort) | (self.radius >= 1.0)
+
+
+@record
+class PIDDesign:
+    """A scheduled PID, its margins on the refined grid, and what each knot alone would reach.
+
+    low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the same of the law for that knot only.
+    """
+
+    law: ScheduledPID
+    bounds: Bounds
+    margins: Margins
+    knots: np.ndarray = field("n")
+    low_frequency: np.ndarray = field("n")
+    alone: np.ndarray = field("n")
+
+
+@record
+class Structure:
+    """What the law may look like: derivative part or not, filter time constant, entries of the gain matrices, weights, limits.
+
+    Tf None: two samples. allowed (nu, ny): entries that may differ from 0. b: set-point weight of the proportional part.
+    """
+
+    derivative: bool = True
+    Tf: float | None = None
+    allowed: np.ndarray | None = None
+    b: float = field("", low=0.0, high=1.0, default=1.0)
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
+    rate: np.ndarray | None = None
+
+
+def design_pid(
+    model: LPVModel,
+    *,
+    knots: int | Sequence[float] = 5,
+    bounds: Bounds = DEFAULT,
+    structure: Structure | None = None,
+    setpoint: Sequence[float] | None = None,
+    robust_to: Sequence[LPVModel] = (),
+    scale: np.ndarray | None = None,
+    say: Say = lambda _: None,
+) -> PIDDesign:
+    """A scheduled PID for `model` whose frozen loops keep `bounds` over the schedule range, for every model in `robust_to` too.
+
+    knots: how many over the range, or their values; one knot, or a model without schedule, gives a fixed PID, tuned there and
+    checked there. setpoint (ny,): outputs that u0 holds, the usual set-point; default: those of the model's operating point.
+    scale (ny,): outputs that count as equally large; default: what unit inputs move in the middle of the range.
+    Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
+    """
+    grid = _knots(model, knots)
+    plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
+    u0 = plan.steady_inputs(setpoint)
+    omega = frequencies(model.dt)
+    first = []
+    for rho in grid:
+        first.append(plan.tuned([rho], np.ones((1, 1)), omega))
+        say(f"{plan.place(rho)}: integral action {first[-1].low_frequency.min():.3g} 1/s")
+    alone = np.array([own.low_frequency.min() for own in first])
+    X = np.concatenate([own.X for own in first], axis=1)
+    rhos = grid if len(grid) == 1 else np.sort(np.concatenate([grid, 0.5 * (grid[1:] + grid[:-1])]))
+    for attempt in range(REFINEMENTS):
+        if len(grid) > 1 or attempt:
+            goals = np.exp(np.interp(rhos, grid, np.log(alone)))
+            X = plan.tuned(rhos, plan.basis(rhos), omega, goals, X).X
+        law, checked = plan.law(X, u0), plan.between(rhos)
+        margins = plan.margins(law, checked)
+        bad = margins.broken(bounds)
+        if not bad.any():
+            reached = plan.low_frequency(law)
+            say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
+            return PIDDesign(law, bounds, margins, grid, reached, alone)
+        say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
+        worst = plan.worst(margins, rhos)
+        rhos = np.unique(np.concatenate([rhos, checked[worst]]))
+        omega = np.unique(np.concatenate([omega, margins.frequencies[worst].ravel()]))
+    raise InputError(
+        f"after {REFINEMENTS} refinements the loop still breaks its bounds at {plan.place(checked[bad][0])}: "
+        f"|S| {margins.sensitivity[bad][0]:.3f}, |T| {margins.complementary[bad][0]:.3f}, effort {margins.effort[bad][0]:.3f}, "
+        f"largest pole {margins.radius[bad][0]:.4f}",
+        file=model.name,
+        mend="loosen the bounds, or give more knots",
+    )
+
+
+def margins_of(
+    law: ScheduledPID,
+    model: LPVModel,
+    rhos: Sequence[float | None],
+    bounds: Bounds = DEFAULT,
+    scale: np.ndarray | None = None,
+) -> Margins:
+    """Margins of a law on a model's frozen loops, by python-control; bounds say where the loop is opened."""
+    import control
+
+    scale = np.ones(len(model.outputs)) if scale is None else scale
+    omega = frequencies(model.dt, FINER)
+    rows = []
+    for rho in rhos:
+        plant: Any = model.to_control(rho)
+        own: Any = law.at(rho)
+        ny, nu = plant.D.shape
+        answer: Any = control.StateSpace(own.A, -own.B[:, ny:], own.C, -own.D[:, ny:], law.dt)  # what the law makes of -y
+        z = np.exp(1j * omega * model.dt)
+        P, K = (np.moveaxis(np.asarray(system(z, squeeze=False)), 2, 0) for system in (plant, answer))
+        P, K = P / scale[:, None], K * scale
+        opened, output = np.linalg.inv(np.eye(nu) + K @ P), np.linalg.inv(np.eye(ny) + P @ K)
+        S = opened if bounds.broken == "input" else output
+        norms = np.stack([np.linalg.norm(M, 2, axis=(1, 2)) for M in (S, np.eye(S.shape[1]) - S, K @ output)])
+        steady = np.real(np.asarray(plant(1.0, squeeze=False))) / scale[:, None]
+        slow = np.nonzero(norms[0] > np.sqrt(0.5))[0]
+        rows.append({
+            "rho": 0.0 if rho is None else rho,
+            "sensitivity": norms[0].max(),
+            "complementary": norms[1].max(),
+            "effort": norms[2].max() * np.linalg.svd(steady, compute_uv=False)[ny - 1],
+            "loops": np.abs(np.einsum("wii->wi", opened)).max(axis=0),
+            "radius": np.abs(plant.feedback(answer).poles()).max(),
+            "bandwidth": omega[slow[0]] if len(slow) else omega[-1],
+            "frequencies": omega[norms.argmax(axis=1)],
+        })  # fmt: skip
+    return Margins(**{key: np.array([row[key] for row in rows]) for key in rows[0]})
+
+
+def _knots(model: LPVModel, knots: int | Sequence[float]) -> np.ndarray:
+    """Schedule values at which the surface has its coefficients."""
+    if model.schedule is None:
+        return np.zeros(1)
+    low, high = model.span
+    if isinstance(knots, int):
+        if knots < 1:
+            raise InputError(f"{knots} knots", mend="one knot is a fixed PID, two a straight line")
+        return np.linspace(low, high, knots) if knots > 1 else np.array([0.5 * (low + high)])
+    given = np.unique(np.asarray(knots, dtype=float))
+    if len(given) == 0 or given[0] < low or given[-1] > high:
+        unit = f" {model.schedule.unit}".rstrip()
+        raise InputError(
+            f"knots {given.tolist()}",
+            file=model.name,
+            mend=f"the model knows {model.schedule.name} from {low:g} to {high:g}{unit}",
+        )
+    return given
+
+
+def frequencies(dt: float, finer: int = 1) -> np.ndarray:
+    """Frequencies in rad/s up to Nyquist's: evenly in the logarithm, then evenly where sampled loops have their peaks."""
+    shares = np.concatenate([np.geomspace(1e-4, 0.05, 20 * finer, endpoint=False), np.linspace(0.05, 0.9999, 40 * finer)])
+    return shares * np.pi / dt
+
+
+class _Plan:
+    """A design under way: the models, where the surface has its coefficients, and what the law may look like."""
+
+    def __init__(
+        self, model: LPVModel, models: Sequence[LPVModel], grid: np.ndarray, structure: Structure, bounds: Bounds,
+        scale: np.ndarray | None,
+    ):  # fmt: skip
+        self.model, self.models, self.grid, self.structure, self.bounds = model, models, grid, structure, bounds
+        for other in models:
+            if (other.inputs, other.outputs, other.dt) != (model.inputs, model.outputs, model.dt):
+                raise InputError("other inputs, outputs or sample time than the first model", file=other.name)
+        self.fixed = len(grid) == 1
+        middle = np.array([self.frozen(model, rho, np.ones(len(model.outputs))).gain for rho in grid]).mean(axis=0)
+        self.scale = np.linalg.norm(middle, axis=1) if scale is None else np.asarray(scale, dtype=float)
+        if not np.all(self.scale > 0.0):
+            dead = model.outputs[int(np.argmin(self.scale))].name
+            raise InputError("no input moves it in the steady state", file=model.name, channel=dead, mend="leave this output out")
+        self.Tf = 2.0 * model.dt if structure.Tf is None else structure.Tf
+
+    def place(self, rho: float) -> str:
+        schedule = self.model.schedule
+        return self.model.name if schedule is None else f"{schedule.name} = {rho:.4g} {schedule.unit}".rstrip()
+
+    def frozen(self, model: LPVModel, rho: float, scale: np.ndarray) -> FrozenPoint:
+        A, B, C, D = model.freeze(None if model.schedule is None else rho)
+        radius = np.abs(np.linalg.eigvals(A)).max(initial=0.0)
+        if radius >= 1.0:
+            raise InputError(
+                f"the frozen model is unstable at {self.place(rho)}: a pole of modulus {radius:.4f}",
+                file=model.name,
+                mend="identify another model, or cut the schedule range",
+            )
+        return FrozenPoint(None if model.schedule is None else rho, model.dt, A, B, C, D, scale)
+
+    def parts(self, omega: np.ndarray) -> np.ndarray:
+        return parts(omega, self.model.dt, self.Tf)[:, : 3 if self.structure.derivative else 2]
+
+    def basis(self, rhos: np.ndarray) -> np.ndarray:
+        return np.ones((len(rhos), 1)) if self.fixed else PiecewiseLinear(self.grid)(rhos)
+
+    def tuned(self, rhos, weights, omega, goals=None, start=None) -> Tuned:
+        """One design for every model at every one of these schedule values; from `start` where that keeps the bounds."""
+        n = len(self.models)
+        plants = [self.frozen(model, rho, self.scale) for rho in rhos for model in self.models]
+        options = {"allowed": self.structure.allowed, "goals": None if goals is None else np.repeat(goals, n)}
+        return tune(
+            plants,
+            np.repeat(weights, n, axis=0),
+            self.parts,
+            omega,
+            self.bounds,
+            start=start,
+            room=ROOM,
+            enough=ENOUGH,
+            **options,
+        )
+
+    def law(self, X: np.ndarray, u0: np.ndarray) -> ScheduledPID:
+        model, structure = self.model, self.structure
+        nu, ny = len(model.inputs), len(model.outputs)
+        Kp, Ki, *rest = X / self.scale
+        each = lambda given, default: np.broadcast_to(np.asarray(default if given is None else given, dtype=float), nu)  # noqa: E731
+        return ScheduledPID(
+            actuated=tuple(c.name for c in model.inputs),
+            measured=tuple(c.name for c in model.outputs),
+            references=tuple(f"{c.name}_set" for c in model.outputs),
+            dt=model.dt, Kp=Kp, Ki=Ki, Kd=rest[0] if rest else np.zeros_like(Kp), u0=u0,
+            b=np.full(ny, structure.b), c=np.zeros(ny),
+            low=each(structure.low, -np.inf), high=each(structure.high, np.inf), rate=each(structure.rate, np.inf), Tf=self.Tf,
+            basis=CONSTANT if self.fixed else PiecewiseLinear(self.grid),
+            schedule=None if self.fixed else model.schedule.name,  # type: ignore[union-attr]
+            span=np.array([-np.inf, np.inf] if self.fixed else [self.grid[0], self.grid[-1]]),
+            name="pid" if self.fixed else "scheduled-pid",
+        )  # fmt: skip
+
+    def steady_inputs(self, setpoint: Sequence[float] | None) -> np.ndarray:
+        """Inputs that hold the outputs at the set-point, or at the model's operating point, at every knot; (m, nu)."""
+        model = self.model
+        phi = model.operating_point.basis(self.grid)
+        u, y = phi @ model.operating_point.u, phi @ model.operating_point.y
+        if setpoint is None:
+            return u
+        if len(setpoint) != len(model.outputs):
+            raise InputError(f"{len(setpoint)} set-points", file=model.name, mend=f"one for each of {len(model.outputs)} outputs")
+        gains = np.array([self.frozen(model, rho, np.ones(y.shape[1])).gain for rho in self.grid])
+        return u + np.einsum("iuy,iy->iu", np.linalg.pinv(gains), np.asarray(setpoint) - y)
+
+    def low_frequency(self, law: ScheduledPID) -> np.ndarray:
+        """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""
+        lows = [self.frozen(self.model, rho, self.scale).gain @ (law.gains_at(rho)[1] * self.scale) for rho in self.grid]
+        return np.linalg.svd(np.array(lows), compute_uv=False)[:, -1]
+
+    # ---- what was found, checked -----------------------------------------------------------------------------------------
+
+    def between(self, rhos: np.ndarray) -> np.ndarray:
+        """The schedule values of the program, and BETWEEN - 1 more in every gap."""
+        if self.fixed:
+            return rhos
+        share = np.arange(BETWEEN) / BETWEEN
+        return np.append((rhos[:-1, None] + np.diff(rhos)[:, None] * share).ravel(), rhos[-1])
+
+    def worst(self, margins: Margins, rhos: np.ndarray) -> np.ndarray:
+        """Indices of the checked schedule values that break the bounds most, one in every gap of the program."""
+        over = np.max([getattr(margins, key) / getattr(self.bounds, key) for key in PEAKS[:3]], axis=0)
+        over = np.where(margins.broken(self.bounds), over, 0.0)
+        gap = np.searchsorted(rhos, margins.rho)
+        return np.array([own[over[own].argmax()] for g in np.unique(gap) if over[own := np.nonzero(gap == g)[0]].max() > 0.0])
+
+    def margins(self, law: ScheduledPID, rhos: np.ndarray) -> Margins:
+        """The worst of all models at every schedule value."""
+        each = [margins_of(law, model, self._at(model, rhos), self.bounds, self.scale) for model in self.models]
+        high = {key: np.max([getattr(m, key) for m in each], axis=0) for key in PEAKS}
+        at = np.argmax([m.sensitivity / self.bounds.sensitivity for m in each], axis=0)
+        frequencies = np.stack([m.frequencies for m in each])[at, np.arange(len(rhos))]
+        return Margins(rho=rhos, bandwidth=np.min([m.bandwidth for m in each], axis=0), frequencies=frequencies, **high)
+
+    def _at(self, model: LPVModel, rhos: np.ndarray) -> list[float | None]:
+        return [None if model.schedule is None else float(rho) for rho in rhos]

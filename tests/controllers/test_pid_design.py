@@ -1,0 +1,137 @@
+"""From an LPV model to a scheduled PID: bounds kept everywhere, u0 that holds the set-point, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controllers.pid_design import Structure, design_pid, margins_of
+from controllers.tuning import Bounds
+from workbench.data import Channel
+from workbench.errors import InputError
+from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model
+
+DT = 0.1
+INPUTS = (Channel("V1", "V", "input"), Channel("V2", "V", "input"))
+OUTPUTS = (Channel("w3", "rad/s", "output"), Channel("theta", "deg", "output"))
+TURNED = np.array([[2.0, 5.0], [-3.0, 1.0]]), np.array([[5.0, 2.0], [-1.0, 3.0]])  # steady gains at both ends
+
+
+def machine(slow=0.8, fast=0.5, turned=TURNED) -> LPVModel:
+    """Two lags behind steady gains that turn over the schedule from one matrix to another, as a winding machine's do."""
+    A = np.diag([slow, fast])
+    B = [(np.eye(2) - A) @ G for G in turned]
+    point = OperatingPoint(CONSTANT, u=[[0.5, 0.2]], y=[[10.0, 1.0]])
+    return LPVModel(
+        "machine", DT, INPUTS, OUTPUTS, Channel("r2", "m", "schedule"), np.array([1.0, 2.0]), PiecewiseLinear((1.0, 2.0)),
+        (Term(0), Term(1)), np.stack([A, A]), np.stack(B), np.stack([np.eye(2)] * 2), np.zeros((2, 2, 2)), point,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def designed():
+    return design_pid(machine(), knots=3, bounds=Bounds(1.5, 1.4, 4.0), setpoint=(12.0, 0.0))
+
+
+def peaks(law, model, rho, omega):
+    """|S| and |T| at the plant input, max |S_ii|, and |Q|, from the definitions."""
+    A, B, C, D = model.freeze(rho)
+    P = np.array([C @ np.linalg.solve(np.exp(1j * w * DT) * np.eye(len(A)) - A, B) + D for w in omega])
+    K = law.response(omega, rho)
+    S = np.linalg.inv(np.eye(2) + K @ P)
+    Q = K @ np.linalg.inv(np.eye(2) + P @ K)
+    size = lambda M: np.linalg.norm(M, 2, axis=(1, 2)).max()  # noqa: E731
+    return size(S), size(np.eye(2) - S), np.abs(np.einsum("wii->wi", S)).max(), size(Q)
+
+
+def test_bounds_are_kept_between_all_knots_and_frequencies(designed):
+    law = replace(designed.law, b=np.ones(2), c=np.ones(2))
+    for rho in np.random.default_rng(1).uniform(1.0, 2.0, 25):
+        S, T, alone, _ = peaks(law, machine(), rho, np.linspace(1e-3, 0.9999, 2000) * np.pi / DT)
+        assert S <= 1.5
+        assert T <= 1.4
+        assert alone <= 1.5
+    assert designed.margins.sensitivity.max() > 1.45  # what is allowed is used
+    assert (designed.margins.radius < 1.0).all()
+
+
+def test_its_margins_are_those_of_the_definitions(designed):
+    law = replace(designed.law, b=np.ones(2), c=np.ones(2))
+    rhos = [1.0, 1.37, 2.0]
+    found = margins_of(designed.law, machine(), rhos)
+    for i, rho in enumerate(rhos):
+        S, T, alone, Q = peaks(law, machine(), rho, np.linspace(1e-4, 0.9999, 4000) * np.pi / DT)
+        least = np.linalg.svd(machine().to_control(rho)(1.0).real, compute_uv=False)[-1]
+        np.testing.assert_allclose(
+            [found.sensitivity[i], found.complementary[i], found.loops[i].max(), found.effort[i]],
+            [S, T, alone, Q * least],
+            rtol=1e-3,
+        )
+
+
+def test_a_pole_at_the_wrong_place_is_seen(designed):
+    wrong = replace(designed.law, Ki=-designed.law.Ki)
+    found = margins_of(wrong, machine(), [1.5])
+    assert found.radius[0] > 1.0
+    assert found.broken(Bounds())[0]
+
+
+def test_every_knot_comes_near_what_it_reaches_alone(designed):
+    assert (designed.low_frequency <= designed.alone * (1 + 1e-2)).all()
+    assert (designed.low_frequency >= 0.8 * designed.alone).all()
+
+
+def test_a_fixed_law_pays_for_the_turning_gains(designed):
+    middle = design_pid(machine(), knots=1, bounds=Bounds(1.5, 1.4, 4.0))
+    assert middle.law.schedule is None
+    assert middle.margins.sensitivity[0] <= 1.5
+    ends = margins_of(middle.law, machine(), [1.0, 2.0])
+    assert ends.sensitivity.max() > 1.5
+
+
+def test_u0_holds_the_setpoint_at_every_knot(designed):
+    model = machine()
+    for rho in (1.0, 1.5, 2.0):
+        _, _, _, u0 = designed.law.gains_at(rho)
+        A, B, C, D = model.freeze(rho)
+        steady = C @ np.linalg.solve(np.eye(2) - A, B) + D
+        np.testing.assert_allclose(steady @ (u0 - [0.5, 0.2]) + [10.0, 1.0], [12.0, 0.0], atol=1e-9)
+    plain = design_pid(machine(), knots=1)
+    np.testing.assert_allclose(plain.law.u0, [[0.5, 0.2]])
+
+
+def test_the_law_of_one_model_is_robust_to_another():
+    other = machine(slow=0.9, turned=tuple(1.6 * G for G in TURNED))
+    bounds = Bounds(1.5, 1.4, 4.0)
+    lonely = design_pid(machine(), knots=1, bounds=bounds)
+    assert margins_of(lonely.law, other, [1.5], bounds).sensitivity[0] > 1.5
+    both = design_pid(machine(), knots=1, bounds=bounds, robust_to=(other,))
+    for model in (machine(), other):
+        assert margins_of(both.law, model, [1.5], bounds).sensitivity[0] <= 1.5
+
+
+def test_a_model_without_schedule_and_a_law_without_derivative():
+    A, B, C, D = machine().freeze(1.2)
+    lti = constant_model("lti", DT, (INPUTS, OUTPUTS), (A, B, C, D), machine().operating_point)
+    found = design_pid(lti, structure=Structure(derivative=False, allowed=np.array([[0, 1], [1, 1]]), low=(-1.0, 0.0), high=2.0))
+    assert found.law.schedule is None
+    assert (found.law.Kd == 0.0).all()
+    assert found.law.Kp[0, 0, 0] == found.law.Ki[0, 0, 0] == 0.0
+    np.testing.assert_array_equal(found.law.low, [-1.0, 0.0])
+    assert margins_of(found.law, lti, [None]).sensitivity[0] <= 1.6
+
+
+def test_bad_models_and_options_are_refused():
+    with pytest.raises(InputError, match=r"unstable at r2 = 1 m: a pole of modulus 1\.0200"):
+        design_pid(machine(slow=1.02))
+    dead = machine(turned=tuple(np.diag([1.0, 0.0]) @ G for G in TURNED))
+    with pytest.raises(InputError, match="channel theta: no input moves it"):
+        design_pid(dead)
+    with pytest.raises(InputError, match="the model knows r2 from 1 to 2 m"):
+        design_pid(machine(), knots=[0.5, 1.5])
+    with pytest.raises(InputError, match="0 knots"):
+        design_pid(machine(), knots=0)
+    with pytest.raises(InputError, match="3 set-points"):
+        design_pid(machine(), knots=1, setpoint=(1.0, 2.0, 3.0))
+    with pytest.raises(InputError, match="other inputs, outputs or sample time"):
+        design_pid(machine(), knots=1, robust_to=(replace(machine(), dt=0.2),))
