@@ -129,6 +129,7 @@ def design_pid(
     grid = _knots(model, knots)
     plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
     u0 = plan.steady_inputs(setpoint)
+    plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), u0)  # refuses limits that cross, before any work
     omega = frequencies(model.dt)
     first = []
     for rho in grid:

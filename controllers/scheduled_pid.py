@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from workbench.errors import InputError
-from workbench.lpv import CONSTANT, Basis
+from workbench.errors import InputError, check_known
+from workbench.lpv import CONSTANT, Basis, PiecewiseLinear, basis_from_dict, basis_to_dict, hats
 from workbench.records import field, record
 
 if TYPE_CHECKING:
@@ -44,6 +44,8 @@ class Clamping:
 
 
 AntiWindup = BackCalculation | Clamping
+ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
+KIND = "scheduled-pid"
 
 
 @record
@@ -149,12 +151,46 @@ class ScheduledPID:
         Kp, Ki, Kd, _ = self.gains_at(rho)
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack([Kp, Ki, Kd]))
 
+    # ---- files ----------------------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, readable without the package; a limit that is not there is null."""
+        limit = lambda values: [float(v) if np.isfinite(v) else None for v in values]  # noqa: E731
+        kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
+        return {
+            "kind": KIND,
+            "law": "u = u0 + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf",
+            "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
+            "references": list(self.references), "schedule": self.schedule, "span": limit(self.span),
+            "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "u0": self.u0,
+            "b": self.b, "c": self.c, "Tf": self.Tf, "low": limit(self.low), "high": limit(self.high), "rate": limit(self.rate),
+            "anti_windup": {"kind": kind} | vars(self.anti_windup),
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
+        """The law that `to_dict` wrote."""
+        limit = lambda values, none: np.array([none if v is None else v for v in values])  # noqa: E731
+        anti_windup = dict(content["anti_windup"])
+        span = content["span"]
+        return cls(
+            actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
+            dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"], u0=content["u0"], b=content["b"],
+            c=content["c"], low=limit(content["low"], -np.inf), high=limit(content["high"], np.inf),
+            rate=limit(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
+            anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
+            schedule=content["schedule"], name=content["name"],
+            span=np.append(limit(span[:1], -np.inf), limit(span[1:], np.inf)),
+        )  # fmt: skip
+
     # ---- the law --------------------------------------------------------------------------------------------------------
 
     @property
     def gains(self) -> np.ndarray:
-        """Every number of the law but those of the basis, in the order in which `law` takes them."""
-        numbers = (self.Kp, self.Ki * self.dt, self.Kd, self.u0, self.b, self.c, self.low, self.high, self.rate * self.dt)
+        """Every number of the law, but those of a basis that is not piecewise linear, in the order in which `law` takes them."""
+        knots = self.basis.knots if isinstance(self.basis, PiecewiseLinear) else np.empty(0)  # other knots, same kernel
+        surfaces = (self.Kp, self.Ki * self.dt, self.Kd, self.u0)
+        numbers = (self.span, knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
         decay = self.Tf / (self.Tf + self.dt)
         every = np.concatenate([*(n.ravel() for n in numbers), self.dt / self.tracking, [decay, (1 - decay) / self.dt]])
         return np.clip(every, -FAR, FAR)  # compiled limits count on finite numbers
@@ -214,11 +250,14 @@ class ScheduledPID:
 
     def _numbers(self, gains: Any, rho: Any) -> "_Numbers":
         m, nu, ny = self.Kp.shape
-        phi = self.basis.functions(0.0 if rho is None else np.maximum(self.span[0], np.minimum(self.span[1], rho)))
         rest = iter(range(len(self.gains)))
 
         def take(n: int) -> list:
             return [gains[next(rest)] for _ in range(n)]
+
+        low, high = take(2)
+        inside = 0.0 if self.schedule is None else np.maximum(low, np.minimum(high, rho))
+        phi = hats(inside, take(m)) if isinstance(self.basis, PiecewiseLinear) else self.basis.functions(inside)
 
         def surface(n: int) -> list:
             terms = [take(n) for _ in range(m)]

@@ -81,6 +81,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--effect", action="append", default=[], metavar="ID@PLACE:P=V", help="switch missing physics on")
     sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
     sub.add_argument("--start", action="append", default=[], metavar="X=V", help="change a start value")
+    sub.add_argument("--controller", metavar="FILE", help="close the loop with a controller written by design")
 
     sub = command(
         "identify",
@@ -128,6 +129,31 @@ def parser() -> argparse.ArgumentParser:
         "example:\n  workbench diagnose a.csv b.csv --plant web-winding --holdout c.csv --json d.json",
     )
     _plant_and_records(sub)
+
+    sub = command(
+        "design",
+        "design a controller on an identified model, with bounds on robustness at every schedule value",
+        "examples:\n  workbench design scheduled-pid --model ssm.json --setpoint w3=100,theta=0\n"
+        "  workbench design pid --model ssm.json --at 0.018 --sensitivity 1.4",
+    )
+    sub.add_argument("kind", metavar="LAW", help="scheduled-pid, or pid: fixed gains")
+    sub.add_argument("--model", required=True, metavar="MODEL", help="model file written by identify")
+    sub.add_argument("--knots", type=_positive, default=5, metavar="N", help="schedule values with own gains (default 5)")
+    sub.add_argument("--at", type=float, metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
+    sub.add_argument("--sensitivity", type=float, default=1.6, metavar="MS", help="largest sensitivity |S| (default 1.6)")
+    sub.add_argument("--complementary", type=float, default=1.6, metavar="MT", help="largest |T| (default 1.6)")
+    sub.add_argument(
+        "--effort", type=float, default=3.0, metavar="M", help="largest control effort, in the least that is needed (default 3)"
+    )
+    sub.add_argument("--setpoint", action="append", default=[], metavar="Y=V,..", help="usual set-point, which u0 holds")
+    for name, text in (("low", "lowest command"), ("high", "highest command"), ("rate", "largest rate of a command, per second")):
+        sub.add_argument(f"--{name}", action="append", default=[], metavar="U=V,..", help=text)
+    sub.add_argument("--filter", type=float, metavar="TF", help="time constant of the derivative filter in s (default 2 samples)")
+    sub.add_argument("--no-derivative", action="store_true", help="PI instead of PID")
+    sub.add_argument(
+        "--setpoint-weight", type=float, default=1.0, metavar="B", help="share of the set-point in the proportional part"
+    )
+    sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
 
     sub = command(
         "effects",

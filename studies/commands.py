@@ -8,11 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
+import numpy as np
+
 from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder
 from studies.results import Result, scores_file
-from workbench.data import Dataset, check_held_out
+from workbench.data import Dataset, Experiment, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
+from workbench.physics.controller import Controller
 from workbench.provenance import provenance
 from workbench.readers import check_units, read, read_all, write_csv
 
@@ -24,7 +27,7 @@ def run(options: Namespace) -> int:
     check_file(options.json, "--json")
     commands = {
         "simulate": simulate, "identify": identify, "compare": compare, "calibrate": calibrate, "diagnose": diagnose,
-        "effects": effects, "doctor": doctor, "study": study,
+        "design": design, "effects": effects, "doctor": doctor, "study": study,
     }  # fmt: skip
     return commands[options.command](options)
 
@@ -51,6 +54,7 @@ def _print(text: str, stream: TextIO) -> None:
 
 def simulate(options: Namespace) -> int:
     """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and states/<record>.csv."""
+    from controllers.files import load_controller
     from studies.experiments import EXPERIMENTS, plan
     from workbench.simulate import replay
     from workbench.simulate import simulate as run_plant
@@ -73,6 +77,9 @@ def simulate(options: Namespace) -> int:
     if chosen and machine not in EXPERIMENTS:
         raise InputError(f"plant {plant.name!r} has no experiment plan", mend="give --inputs-from RECORD")
 
+    own_law = load_controller(options.controller) if options.controller else None
+    if own_law and options.inputs_from:
+        raise InputError("--controller and --inputs-from exclude each other", mend="a replay has no loop to close")
     summary: list[dict[str, Any]] = []
     jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
     for kind, name in jobs:
@@ -81,7 +88,8 @@ def simulate(options: Namespace) -> int:
             scenario = todo.scenario(options.seed)
             scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
             applied = todo.effects_with(effects)
-            done = run_plant(plant, todo.controller, scenario, parameters=parameters, effects=applied)
+            law = own_law or todo.controller
+            done = run_plant(plant, law, scenario, parameters=parameters, effects=applied, bumpless=own_law is not None)
         else:
             record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
             applied = effects
@@ -95,16 +103,33 @@ def simulate(options: Namespace) -> int:
         entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": applied}
         if kind == "record":
             entry["scores"] = _replay_scores(plant, record, done.experiment)
+        elif own_law:
+            entry["tracking"] = _loop_scores(own_law, done.experiment)
         summary.append(entry)
     configuration = {
         "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
-        "effects_of_plant": plant.effects, "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
+        "controller": options.controller, "effects_of_plant": plant.effects,
+        "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
     }  # fmt: skip
-    result = {"runs": summary, "provenance": provenance(configuration, [*options.inputs_from, *found.files], options.seed)}
+    read_files = [*options.inputs_from, *found.files, *([options.controller] if options.controller else [])]
+    result = {"runs": summary, "provenance": provenance(configuration, read_files, options.seed)}
     write_json(folder / "simulate.json", result)
     if options.json:
         write_json(options.json, result)
     return 0
+
+
+def _loop_scores(law: Controller, run: Experiment) -> list[dict[str, Any]]:
+    """How well each measured output followed its set-point."""
+    scores = []
+    for measured, reference in zip(law.measured, law.references, strict=False):
+        e = run[reference] - run[measured]
+        values = {"RMS": float(np.sqrt(np.mean(e**2))), "max": float(np.abs(e).max()), "IAE": float(np.sum(np.abs(e)) * run.dt)}
+        unit = next(c.unit for c in run.channels if c.name == measured)
+        numbers = ", ".join(f"{key} {value:.4g} {unit}" for key, value in values.items())
+        say(f"  {measured}: error {numbers} s")
+        scores.append({"output": measured, "reference": reference, "unit": unit} | values)
+    return scores
 
 
 def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
@@ -125,6 +150,13 @@ def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
             )
             scores.append({"output": channel.name, "horizon": "free-run", "unit": channel.unit} | values)
     return scores
+
+
+def design(options: Namespace) -> int:
+    """Design a controller on an identified model."""
+    from studies.design import design as run_design
+
+    return run_design(options, say, progress)
 
 
 # ---- identify and compare -----------------------------------------------------------------------------------------------

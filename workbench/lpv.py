@@ -95,11 +95,7 @@ class PiecewiseLinear:
 
     def functions(self, rho) -> list:
         """phi_j at a number, an array or a CasADi symbol."""
-        inside = np.minimum(np.maximum(rho, self.knots[0]), self.knots[-1])
-        rise = [(inside - a) / (b - a) for a, b in itertools.pairwise(self.knots)]
-        # each is the lower of the side that leads up to its knot and the side that leads down from it
-        up, down = [0.0 * rho + 1.0, *rise], [*(1.0 - r for r in rise), 0.0 * rho + 1.0]
-        return [np.maximum(np.minimum(a, b), 0.0) for a, b in zip(up, down, strict=True)]
+        return hats(rho, self.knots)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,6 +103,15 @@ class PiecewiseLinear:
 
 
 Basis = Powers | Gaussian | PiecewiseLinear
+
+
+def hats(rho, knots: Any) -> list:
+    """The functions of `PiecewiseLinear`, where the knots may be symbols too."""
+    inside = np.minimum(np.maximum(rho, knots[0]), knots[-1])
+    rise = [(inside - a) / (b - a) for a, b in itertools.pairwise(knots)]
+    # each is the lower of the side that leads up to its knot and the side that leads down from it
+    up, down = [0.0 * rho + 1.0, *rise], [*(1.0 - r for r in rise), 0.0 * rho + 1.0]
+    return [np.maximum(np.minimum(a, b), 0.0) for a, b in zip(up, down, strict=True)]
 
 
 def stacked(basis: Basis, rho: np.ndarray) -> np.ndarray:
@@ -365,9 +370,9 @@ class LPVModel:
             "outputs": [vars(c) for c in self.outputs],
             "schedule": vars(self.schedule) if self.schedule else None,
             "span": self.span,
-            "basis": _basis_to_dict(self.basis),
+            "basis": basis_to_dict(self.basis),
             "operating_point": {
-                "basis": _basis_to_dict(self.operating_point.basis),
+                "basis": basis_to_dict(self.operating_point.basis),
                 "u": self.operating_point.u,
                 "y": self.operating_point.y,
             },
@@ -410,7 +415,7 @@ def load_model(path) -> LPVModel:
 
 
 def _from_dict(content: dict[str, Any]) -> LPVModel:
-    basis = _basis_from_dict(content["basis"])
+    basis = basis_from_dict(content["basis"])
     terms = content["terms"]
     stacked = {key: np.array([term[key] for term in terms], dtype=float) for key in "ABCD"}
     warmup = content["predictor_warmup"]
@@ -427,7 +432,7 @@ def _from_dict(content: dict[str, Any]) -> LPVModel:
         span=content["span"],
         basis=basis,
         terms=tuple(Term(int(term["function"]), int(term["delay"])) for term in terms),
-        operating_point=OperatingPoint(_basis_from_dict(point["basis"]), point["u"], point["y"]),
+        operating_point=OperatingPoint(basis_from_dict(point["basis"]), point["u"], point["y"]),
         predictor=predictor,
         noise=None if content["noise"] is None else np.array(content["noise"]),
         estimates=tuple(Estimate(**e) for e in content["estimates"]),
@@ -437,12 +442,14 @@ def _from_dict(content: dict[str, Any]) -> LPVModel:
     )
 
 
-def _basis_to_dict(basis: Basis) -> dict[str, Any]:
+def basis_to_dict(basis: Basis) -> dict[str, Any]:
+    """Plain numbers, with the basis' kind."""
     kind = next(kind for kind, cls in BASES.items() if isinstance(basis, cls))
     return {"kind": kind} | vars(basis)
 
 
-def _basis_from_dict(content: dict[str, Any]) -> Basis:
+def basis_from_dict(content: dict[str, Any]) -> Basis:
+    """The basis that `basis_to_dict` wrote."""
     options = dict(content)
     return BASES[check_known("basis", options.pop("kind"), BASES)](**options)
 

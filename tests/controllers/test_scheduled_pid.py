@@ -14,6 +14,7 @@ from plants import WEB_WINDING
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import PiecewiseLinear, Powers
+from workbench.physics import stepper
 from workbench.physics.plant import Plant, Start
 from workbench.records import RecordError
 from workbench.simulate import Scenario, simulate
@@ -266,6 +267,11 @@ def test_the_compiled_law_commands_what_the_law_commands(anti_windup):
         assert (run["V2"] == 2.6).any()
         if bumpless:
             np.testing.assert_allclose(run[["V2", "V1"]][0], u0[::-1], atol=1e-14)
+
+
+def test_other_gains_and_knots_need_no_other_kernel():
+    other = replace(scheduled(), Kp=scheduled().Kp * 3, basis=PiecewiseLinear((0.012, 0.02)), span=(0.012, 0.02))
+    assert stepper._kernel(WEB_WINDING, scheduled(), 1)[0] is stepper._kernel(WEB_WINDING, other, 1)[0]
 
 
 def test_closed_loop_equals_linear_theory_on_a_linear_plant():

@@ -1,0 +1,38 @@
+"""Controllers as files: plain JSON with a schema and a version, one kind a law."""
+
+from pathlib import Path
+from typing import Any
+
+from controllers import scheduled_pid
+from controllers.scheduled_pid import ScheduledPID
+from workbench.errors import InputError, check_known
+from workbench.files import read_json, write_json
+
+SCHEMA = "gain-scheduling-workbench/controller"
+VERSION = 1
+KINDS: dict[str, Any] = {scheduled_pid.KIND: ScheduledPID}
+
+
+def save_controller(controller: Any, path: str | Path) -> Path:
+    """Write a controller of a listed kind."""
+    return write_json(path, {"schema": SCHEMA, "version": VERSION} | controller.to_dict())
+
+
+def load_controller(path: str | Path) -> Any:
+    """Read a file written by `save_controller`; what is missing or foreign is named."""
+    content = read_json(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError(
+            "not a controller", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}, as workbench design writes it"
+        )
+    if content.get("version") != VERSION:
+        raise InputError(f"controller version {content.get('version')}, this program reads {VERSION}", file=path)
+    kind = KINDS[check_known("kind of controller", content.get("kind", ""), KINDS, file=path)]
+    try:
+        return kind.from_dict(content)
+    except InputError as reason:
+        raise InputError(reason.problem, file=path, channel=reason.channel, mend=reason.mend) from None
+    except KeyError as reason:
+        raise InputError(f"field {reason.args[0]!r} is missing", file=path, mend="design the controller again") from None
+    except (TypeError, ValueError) as reason:
+        raise InputError(f"malformed controller: {reason}", file=path, mend="design the controller again") from None

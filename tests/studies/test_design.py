@@ -1,0 +1,137 @@
+"""`workbench design`: files that come back as they went, what is said, and what is refused."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controllers.files import load_controller, save_controller
+from controllers.pid import pid
+from controllers.scheduled_pid import BackCalculation, Clamping
+from studies.cli import main
+from studies.experiments import web_winding_loops
+from workbench.data import Channel
+from workbench.errors import InputError
+from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term
+
+
+def turning_model() -> LPVModel:
+    """Two quick lags behind steady gains that turn with the radius; sampled as the winding machine is."""
+    A, gains = 0.7 * np.eye(2), (np.array([[20.0, 45.0], [-30.0, 15.0]]), np.array([[45.0, 20.0], [-15.0, 30.0]]))
+    return LPVModel(
+        "turning", 0.04, (Channel("V1", "V", "input"), Channel("V2", "V", "input")),
+        (Channel("w3", "rad/s", "output"), Channel("theta", "deg", "output")), Channel("r2", "m", "schedule"),
+        np.array([0.011, 0.0264]), PiecewiseLinear((0.011, 0.0264)), (Term(0), Term(1)), np.stack([A, A]),
+        np.stack([0.3 * G for G in gains]), np.stack([np.eye(2)] * 2), np.zeros((2, 2, 2)),
+        OperatingPoint(CONSTANT, u=[[0.3, 2.0]], y=[[100.0, 0.0]]),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A designed law: its folder, and the model it was made from."""
+    place = tmp_path_factory.mktemp("design")
+    turning_model().save(place / "m.json")
+    options = ["--knots", "2", "--low", "V1=0,V2=0", "--high", "V2=10", "--setpoint", "w3=100,theta=0"]
+    files = ["--model", str(place / "m.json"), "--out", str(place / "out"), "--json", str(place / "d.json")]
+    code = main(["design", "scheduled-pid", *options, *files])
+    assert code == 0
+    return place
+
+
+def test_what_design_writes(folder):
+    law, result = load_controller(folder / "out" / "scheduled-pid.json"), json.loads((folder / "d.json").read_text())
+    assert law.schedule == "r2"
+    np.testing.assert_array_equal(law.low, [0.0, 0.0])
+    np.testing.assert_array_equal(law.high, [np.inf, 10.0])
+    assert result == json.loads((folder / "out" / "design.json").read_text())
+    assert max(result["margins"]["sensitivity"]) <= 1.6
+    assert result["provenance"]["data"].keys() == {"m.json"}
+    with open(folder / "out" / "margins.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    np.testing.assert_allclose([float(row["S"]) for row in rows], result["margins"]["sensitivity"], rtol=1e-8)
+
+
+def test_the_gain_table_holds_the_gains_of_the_law(folder):
+    law = load_controller(folder / "out" / "scheduled-pid.json")
+    with open(folder / "out" / "gains.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    assert "Ki_V1_theta [V/(deg)/s]" in rows[0]
+    assert len(rows) == 2
+    for row in rows:
+        Kp, Ki, Kd, u0 = law.gains_at(float(row["r2 [m]"]))
+        assert float(row["Kp_V2_w3 [V/(rad/s)]"]) == Kp[1, 0]
+        assert float(row["Ki_V1_theta [V/(deg)/s]"]) == Ki[0, 1]
+        assert float(row["Kd_V2_theta [V/(deg) s]"]) == Kd[1, 1]
+        assert float(row["u0_V2 [V]"]) == u0[1]
+
+
+def test_simulate_closes_the_loop_with_the_file(folder, capsys):
+    file = str(save_controller(web_winding_loops(), folder / "scheduled-pid.json"))
+    code = main(["simulate", "web-winding", "--experiment", "staircase", "--controller", file, "--out", str(folder / "sim")])
+    assert code == 0
+    assert "w3: error RMS" in capsys.readouterr().out
+    run = json.loads((folder / "sim" / "simulate.json").read_text())
+    assert run["runs"][0]["tracking"][0]["RMS"] == pytest.approx(5.5, abs=0.5)
+    assert "scheduled-pid.json" in run["provenance"]["data"]
+
+
+@pytest.mark.parametrize("anti_windup", [Clamping(), BackCalculation(), BackCalculation(np.array([0.5, 1.0]))])
+def test_a_law_comes_back_as_it_went(tmp_path, anti_windup):
+    law = pid(("a", "b"), ("c", "d"), ("r", "s"), 0.1, np.eye(2), [[0.1, 0.2], [0.3, 0.4]], Tf=0.3, high=(1.0, np.inf),
+              anti_windup=anti_windup)  # fmt: skip
+    law = replace(law, name="mine")
+    back = load_controller(save_controller(law, tmp_path / "c.json"))
+    np.testing.assert_array_equal(back.gains, law.gains)
+    assert (back.name, back.schedule, type(back.anti_windup), back.basis.names) == ("mine", None, type(anti_windup), ("1",))
+    np.testing.assert_array_equal(back.span, law.span)
+    assert "NaN" not in (tmp_path / "c.json").read_text()
+
+
+def test_a_fixed_law_says_where_it_breaks_its_bounds(folder, capsys):
+    assert main(["design", "pid", "--model", str(folder / "m.json"), "--out", str(folder / "fixed")]) == 0
+    said = capsys.readouterr().out
+    assert "the fixed law breaks its bounds at" in said
+    assert "workbench design scheduled-pid keeps them" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["scheduled-pi"], "unknown controller 'scheduled-pi'"),
+        (["scheduled-pid", "--sensitivity", "0.9"], "--sensitivity 0.9"),
+        (["scheduled-pid", "--knots", "1"], "a scheduled law has two or more"),
+        (["scheduled-pid", "--setpoint", "w3=100"], "no set-point for theta"),
+        (["scheduled-pid", "--setpoint", "w4=100"], "unknown output 'w4'"),
+        (["scheduled-pid", "--high", "V3=10"], "unknown input 'V3'"),
+        (["scheduled-pid", "--low", "V1=2", "--high", "V1=1"], "V1: lower limit 2 is not below the upper 1"),
+        (["pid", "--at", "0.5"], "the model knows r2 from 0.011 to 0.0264 m"),
+        (["scheduled-pid", "--at", "0.02"], "--at is for a fixed law"),
+    ],
+)
+def test_slips_are_named(folder, capsys, arguments, message):
+    assert main(["design", *arguments, "--model", str(folder / "m.json"), "--out", str(folder / "none")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "none").exists()
+
+
+def test_files_that_are_no_controllers_are_refused(folder, tmp_path):
+    with pytest.raises(InputError, match="not a controller"):
+        load_controller(folder / "m.json")
+    content = json.loads((folder / "out" / "scheduled-pid.json").read_text())
+    for change, message in (
+        ({"version": 9}, "version 9"),
+        ({"kind": "lqr"}, "unknown kind of controller 'lqr'"),
+        ({"Kp": [[[1.0]]]}, "malformed controller"),
+        ({"high": [-1.0, 5.0]}, "lower limit 0 is not below the upper -1"),
+        ({"anti_windup": {"kind": "none"}}, "unknown anti-windup 'none'"),
+    ):
+        (tmp_path / "c.json").write_text(json.dumps(content | change))
+        with pytest.raises(InputError, match=message):
+            load_controller(tmp_path / "c.json")
+    del content["Ki"]
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="field 'Ki' is missing"):
+        load_controller(tmp_path / "c.json")
