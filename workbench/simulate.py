@@ -13,7 +13,7 @@ import numpy as np
 from workbench.data import SAME_DT, Channel, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.physics import stepper
-from workbench.physics.controller import Controller, Playback
+from workbench.physics.controller import Controller, Loop, Playback, Stepped
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
 
@@ -42,16 +42,20 @@ class Scenario:
 
 @record
 class Run:
-    """A simulated record: what a logger would have seen, and the states behind it."""
+    """A simulated record: what a logger would have seen, and the states behind it.
+
+    memories: of a controller that is asked step by step, after each of its samples.
+    """
 
     experiment: Experiment
     states: Experiment
     substeps: int
+    memories: tuple = ()
 
 
 def simulate(
     plant: Plant,
-    controller: Controller,
+    controller: Controller | Stepped,
     scenario: Scenario,
     *,
     parameters: Mapping[str, float] | None = None,
@@ -67,7 +71,12 @@ def simulate(
     """
     lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects), bumpless)
     used = _substeps(plant, lanes, substeps)
-    run = stepper.run(plant, controller, lanes, used)
+    memories: list = []
+    if isinstance(controller, Controller):
+        run = stepper.run(plant, controller, lanes, used)
+    else:
+        held = lanes.hold[0, [plant.input_names.index(name) for name in controller.actuated]]
+        run, memories = stepper.run_stepwise(plant, controller, lanes, used, controller.init(held if bumpless else None))
     _check_range(plant, scenario, run.states[0])
     t = plant.dt * np.arange(len(scenario))
     units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs}
@@ -85,6 +94,7 @@ def simulate(
         Experiment(scenario.name, t, channels, values, plant.dt),
         Experiment(f"{scenario.name} states", t, plant.states, run.states[0], plant.dt),
         used,
+        tuple(memories),
     )
 
 
@@ -147,7 +157,7 @@ def _substeps(plant: Plant, lanes: stepper.Lanes, wanted: int | None) -> int:
 
 
 def _lanes(
-    plant: Plant, controller: Controller, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray, bumpless: bool
+    plant: Plant, controller: Controller | Stepped, scenarios: list[Scenario], p: np.ndarray, eta: np.ndarray, bumpless: bool
 ) -> stepper.Lanes:
     p, eta = np.atleast_2d(p), np.atleast_2d(eta)
     plant.check_parameters(p)
@@ -160,17 +170,18 @@ def _lanes(
     for values in {tuple(sorted(scenario.start.items())) for scenario in scenarios}:
         own = [i for i in range(R) if tuple(sorted(scenarios[i % len(scenarios)].start.items())) == values]
         start[own], hold[own] = plant.equilibria(p[own], **dict(values))
-    commanded = hold[:, [plant.input_names.index(name) for name in controller.actuated]]
-    memory = (
-        [controller.init(u) for u in commanded] if bumpless else np.broadcast_to(controller.init(), (R, len(controller.init())))
-    )
+    gains, memory = np.empty((R, 0)), np.empty((R, 0))
+    if isinstance(controller, Controller):
+        commanded = hold[:, [plant.input_names.index(name) for name in controller.actuated]]
+        gains = np.broadcast_to(controller.gains, (R, len(controller.gains)))
+        memory = np.reshape([controller.init(u if bumpless else None) for u in commanded], (R, -1))
     signals = [_signals(plant, controller, scenario) for scenario in scenarios]
     reference, disturbance, noise = (np.broadcast_to(np.stack(s), (R, *s[0].shape)) for s in zip(*signals, strict=True))
     return stepper.Lanes(
         parameters=p,
         effects=eta,
-        gains=np.broadcast_to(controller.gains, (R, len(controller.gains))),
-        memory=np.reshape(memory, (R, -1)),
+        gains=gains,
+        memory=memory,
         start=start,
         hold=hold,
         reference=reference,
@@ -179,7 +190,7 @@ def _lanes(
     )
 
 
-def _check_scenario(plant: Plant, controller: Controller, scenario: Scenario, N: int) -> None:
+def _check_scenario(plant: Plant, controller: Loop, scenario: Scenario, N: int) -> None:
     for name in (*controller.measured, *([controller.schedule] if controller.schedule else [])):
         check_known("measured channel", name, plant.output_names, file=controller.name)
     for name in controller.actuated:
@@ -195,7 +206,7 @@ def _check_scenario(plant: Plant, controller: Controller, scenario: Scenario, N:
         raise InputError(f"{len(scenario)} samples, the first scenario of the batch has {N}", file=scenario.name)
 
 
-def _signals(plant: Plant, controller: Controller, scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _signals(plant: Plant, controller: Loop, scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """References (N, nr), input disturbances (N, nu) and measurement noise (N, ny) of one scenario."""
     N = len(scenario)
     reference = np.empty((N, len(controller.references)))

@@ -1,8 +1,12 @@
 """The unlogged disturbance, seen through integrators: x' = u + d, so diff(x)/dt - u is d."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from plants import WEB_WINDING
+from studies.experiments import web_winding_loops
 from workbench.data import Channel
 from workbench.physics.controller import Playback
 from workbench.physics.plant import Plant
@@ -45,3 +49,26 @@ def test_a_dead_time_belongs_to_its_own_input():
     )  # fmt: skip
     np.testing.assert_allclose(run.states["a"], 0.1 * np.arange(20), atol=1e-12)
     np.testing.assert_allclose(run.states["b"], 0.1 * np.maximum(np.arange(20) - 5, 0), atol=1e-12)
+
+
+class Asked:
+    """The loops of the identification experiments, asked step by step in Python."""
+
+    def __init__(self, law):
+        self.own = law
+        for name in ("name", "dt", "references", "measured", "schedule", "actuated", "init", "step"):
+            setattr(self, name, getattr(law, name))
+
+
+@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("effects", [{}, {"input-delay@V1": {"time": 0.05}, "sensor-lag@theta": {"time": 0.1}}])
+def test_a_controller_asked_step_by_step_gives_the_run_of_the_compiled_one(every, effects):
+    law = replace(web_winding_loops(), dt=every * WEB_WINDING.dt)
+    n = 120
+    scenario = Scenario("steps", {"w3_set": 100.0 + 5.0 * (np.arange(n) > 40), "theta_set": np.zeros(n)}, seed=2)
+    compiled = simulate(WEB_WINDING, law, scenario, effects=effects, bumpless=True)
+    asked = simulate(WEB_WINDING, Asked(law), scenario, effects=effects, bumpless=True)
+    np.testing.assert_allclose(asked.experiment.values, compiled.experiment.values, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(asked.states.values, compiled.states.values, rtol=1e-12)
+    assert len(asked.memories) == len(range(0, n, every))
+    assert compiled.memories == ()

@@ -1,18 +1,14 @@
 """What a simulation needs to know of a controller: one law in plain arithmetic, with explicit memory."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from workbench.records import field, record
 
 
-class Controller(Protocol):
-    """A sampled controller, zero-order hold: (state, r, y, rho) -> (u, state) every dt seconds.
-
-    `law` is one plain function of arithmetic and numpy ufuncs without a branch on its arguments, so that the stepper can
-    compile it; `gains` holds every number in it, so that other gains need no other kernel.
-    """
+class Loop(Protocol):
+    """What is common to all sampled controllers with zero-order hold: what they read and what they command."""
 
     @property
     def name(self) -> str: ...
@@ -38,6 +34,15 @@ class Controller(Protocol):
         """Names of the inputs u."""
         ...
 
+
+@runtime_checkable
+class Controller(Loop, Protocol):
+    """A law that is an equation: (state, r, y, rho) -> (u, state) every dt seconds.
+
+    `law` is one plain function of arithmetic and numpy ufuncs without a branch on its arguments, so that the stepper can
+    compile it; `gains` holds every number in it, so that other gains need no other kernel.
+    """
+
     @property
     def gains(self) -> np.ndarray: ...
     def init(self, u: np.ndarray | None = None) -> np.ndarray:
@@ -46,6 +51,18 @@ class Controller(Protocol):
 
     def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any) -> tuple[list, list]:
         """The law on numbers, arrays or symbols."""
+        ...
+
+
+class Stepped(Loop, Protocol):
+    """A law that is computed step by step in Python, such as an optimisation; its memory is whatever it needs."""
+
+    def init(self, u: np.ndarray | None = None) -> Any:
+        """The memory before the first sample; u: the inputs it takes over from."""
+        ...
+
+    def step(self, state: Any, r: np.ndarray, y: np.ndarray, rho: float | None) -> tuple[np.ndarray, Any]:
+        """One sample: commands (nu,), never NaN, and the next memory."""
         ...
 
 

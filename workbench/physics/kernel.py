@@ -170,18 +170,18 @@ def remember(W, on):
 
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1], f8[::1])",
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
-    W, reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, dt, on, affected, remembering,
-    observed, gain, restart, push, remembered, decay
+    W, reference, disturbance, noise, step, back, acting, states, measured, commands, begin, end, first, every, dt, on, affected,
+    remembering, observed, gain, restart, push, remembered, decay
 ):
-    """Advance LANES runs through len(reference) samples; see workbench.physics.stepper for the arrays."""
+    """Advance LANES runs through the samples from `begin` to `end`; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
 {once}
-    for k in range(len(reference)):
+    for k in range(begin, end):
         for i in range({nr}):
             for l in range(LANES):
                 W[({r} + i) * LANES + l] = reference[k, i, l]

@@ -7,14 +7,16 @@ more point for each input, placed where its hold changes, so that every delay is
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import lru_cache
 from types import ModuleType
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.physics.controller import Controller
+from workbench.physics.controller import Controller, Playback, Stepped
 from workbench.physics.effects.effect import FOREVER
 from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, Switched, kernel_source, load_kernel, print_function
 from workbench.physics.plant import Plant, column, entries, shares, symbolic_numpy
@@ -187,19 +189,7 @@ def run(
     One run goes through the scalar kernel, more through the SIMD kernel in blocks of 16, `threads` blocks at a time. Both
     give the same numbers to the last bit.
     """
-    every = round(controller.dt / plant.dt)
-    if every < 1 or abs(controller.dt - every * plant.dt) > 1e-9 * plant.dt:
-        raise InputError(
-            f"controller {controller.name!r} runs every {controller.dt:g} s, plant {plant.name!r} is sampled every "
-            f"{plant.dt:g} s",
-            mend="use a whole multiple of the plant's sample time",
-        )
-    if plant.discrete and controller.measured:
-        raise InputError(
-            f"controller {controller.name!r} would read outputs of {plant.name!r} that its commands of the same sample move",
-            file=plant.name,
-            mend="a discrete plant is driven by given inputs only",
-        )
+    every = _every(plant, controller)
     R, N, _ = lanes.reference.shape
     width = SCALAR if R == 1 else SIMD
     kernel, rows = _kernel(plant, controller, width)
@@ -212,9 +202,10 @@ def run(
 
     def block(first: int) -> None:
         pick = np.minimum(np.arange(first, first + width), R - 1)  # the last block repeats the last run
-        results = _block(plant, kernel, rows, lanes, pick, substeps, every, steering)
+        own = _Block(plant, kernel, rows, lanes, pick, substeps, every, steering)
+        own.advance(0, N)
         keep = min(width, R - first)
-        for target, source in zip((out.states, out.measured, out.commands, out.full), results, strict=True):
+        for target, source in zip((out.states, out.measured, out.commands, out.full), own.results(), strict=True):
             if target is not None:
                 target[first : first + keep] = np.moveaxis(source[:, : target.shape[2], :keep], 2, 0)
 
@@ -228,58 +219,113 @@ def run(
     return out
 
 
-def _block(
-    plant: Plant,
-    kernel: ModuleType,
-    rows: Rows,
-    lanes: Lanes,
-    pick: np.ndarray,
-    substeps: int,
-    every: int,
-    steering: Steering | None,
-) -> tuple[np.ndarray, ...]:
-    """Run one block: (states, measured, commands, full states if steered), each (N, channels, L)."""
-    L, N = len(pick), lanes.reference.shape[1]
-    W = np.zeros((rows.total, L))
-    nx = len(plant.states)
-    W[rows["x"] : rows["x"] + nx] = lanes.start[pick].T
-    for name, source in (("p", lanes.parameters), ("eta", lanes.effects), ("g", lanes.gains), ("c", lanes.memory)):
-        W[rows.span(name)] = source[pick].T
-    start, p, held = (source[pick].T for source in (lanes.start, lanes.parameters, lanes.hold))
-    z = np.array([np.broadcast_to(y, L) for y in plant.output(start, p, held)])
-    W[rows.span("before")] = z
-    eta = lanes.effects[pick].T
-    W[rows.span("mem")] = plant.settle(z, eta)
-    W[rows.span("u")] = lanes.hold[pick].T
-    W[rows.span("gaps")] = np.reshape(plant.settle_gaps(lanes.hold[pick].T, eta), (-1, L))
+def _every(plant: Plant, controller: Controller | Stepped) -> int:
+    """Samples of the plant from one command of the controller to the next."""
+    every = round(controller.dt / plant.dt)
+    if every < 1 or abs(controller.dt - every * plant.dt) > 1e-9 * plant.dt:
+        raise InputError(
+            f"controller {controller.name!r} runs every {controller.dt:g} s, plant {plant.name!r} is sampled every "
+            f"{plant.dt:g} s",
+            mend="use a whole multiple of the plant's sample time",
+        )
+    if plant.discrete and controller.measured:
+        raise InputError(
+            f"controller {controller.name!r} would read outputs of {plant.name!r} that its commands of the same sample move",
+            file=plant.name,
+            mend="a discrete plant is driven by given inputs only",
+        )
+    return every
 
-    step, back, first = _grid(plant, lanes.effects[pick], substeps)
-    acting = np.empty((first + N, len(plant.inputs), L))
-    acting[:first] = lanes.hold[pick].T
-    states = np.empty((N, rows.size["x"], L))
-    measured, commands = np.empty((N, len(z), L)), np.empty((N, len(plant.inputs), L))
-    reference, disturbance, noise = (
-        np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
-    )
-    live = [(q.effect, q.place) for i, q in enumerate(plant.slots) if not q.parameter.shape and eta[i].any()]
-    dragging = {place for effect, place in live if effect.family == "sensor" and effect.memories}
-    remembering = [name in dragging for name in plant.output_names]
-    parts = [bool(np.any(eta[list(part.sizes)])) for part in plant.parted.parts]
-    affected = any(effect.family not in ("sensor", "actuator") for effect, _ in live)
-    by_lane, shared, steer = np.empty((0, 0, 0)), np.empty((0, 0)), steering or Steering()
-    restart, push = (
-        by_lane if given is None else np.ascontiguousarray(given[:, :, pick]) for given in (steer.restart, steer.push)
-    )
-    observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
-    gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
-    decay = np.empty(0) if steer.decay is None else np.ascontiguousarray(steer.decay)
-    remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
-    kernel.run(
-        W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands, first, every, plant.dt,
-        np.array([*parts, *remembering]), affected, any(remembering), observed, gain, restart, push, remembered,
-        decay,
-    )  # fmt: skip
-    return states, measured, commands, np.concatenate([states, remembered], axis=1) if steer.full else remembered
+
+class _Block:
+    """Runs side by side in the lanes of one kernel, with all that they remember from one sample to the next."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        kernel: ModuleType,
+        rows: Rows,
+        lanes: Lanes,
+        pick: np.ndarray,
+        substeps: int,
+        every: int,
+        steering: Steering | None = None,
+    ):
+        L, N = len(pick), lanes.reference.shape[1]
+        W = np.zeros((rows.total, L))
+        nx = len(plant.states)
+        W[rows["x"] : rows["x"] + nx] = lanes.start[pick].T
+        for name, source in (("p", lanes.parameters), ("eta", lanes.effects), ("g", lanes.gains), ("c", lanes.memory)):
+            W[rows.span(name)] = source[pick].T
+        start, p, held = (source[pick].T for source in (lanes.start, lanes.parameters, lanes.hold))
+        z = np.array([np.broadcast_to(y, L) for y in plant.output(start, p, held)])
+        W[rows.span("before")] = z
+        eta = lanes.effects[pick].T
+        W[rows.span("mem")] = plant.settle(z, eta)
+        W[rows.span("u")] = lanes.hold[pick].T
+        W[rows.span("gaps")] = np.reshape(plant.settle_gaps(lanes.hold[pick].T, eta), (-1, L))
+
+        step, back, first = _grid(plant, lanes.effects[pick], substeps)
+        acting = np.empty((first + N, len(plant.inputs), L))
+        acting[:first] = lanes.hold[pick].T
+        states = np.empty((N, rows.size["x"], L))
+        measured, commands = np.empty((N, len(z), L)), np.empty((N, len(plant.inputs), L))
+        reference, disturbance, noise = (
+            np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
+        )
+        live = [(q.effect, q.place) for i, q in enumerate(plant.slots) if not q.parameter.shape and eta[i].any()]
+        dragging = {place for effect, place in live if effect.family == "sensor" and effect.memories}
+        remembering = [name in dragging for name in plant.output_names]
+        parts = [bool(np.any(eta[list(part.sizes)])) for part in plant.parted.parts]
+        affected = any(effect.family not in ("sensor", "actuator") for effect, _ in live)
+        by_lane, shared, steer = np.empty((0, 0, 0)), np.empty((0, 0)), steering or Steering()
+        restart, push = (
+            by_lane if given is None else np.ascontiguousarray(given[:, :, pick]) for given in (steer.restart, steer.push)
+        )
+        observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
+        gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
+        decay = np.empty(0) if steer.decay is None else np.ascontiguousarray(steer.decay)
+        remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
+        self.kernel, self.full = kernel, steer.full
+        self.reference, self.noise, self.eta, self.memory = reference, noise, eta, W[rows.span("mem")]
+        self.states, self.measured, self.commands, self.remembered = states, measured, commands, remembered
+        self._arrays = W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands
+        on = np.array([*parts, *remembering])
+        self._rest = (
+            first, every, plant.dt, on, affected, any(remembering), observed, gain, restart, push, remembered, decay
+        )  # fmt: skip
+
+    def advance(self, begin: int, end: int) -> None:
+        """Run the samples from `begin` to `end`, which must follow on those already run."""
+        self.kernel.run(*self._arrays, begin, end, *self._rest)
+
+    def results(self) -> tuple[np.ndarray, ...]:
+        """States, measured, commands, and full states if steered so, each (N, channels, L)."""
+        full = np.concatenate([self.states, self.remembered], axis=1) if self.full else self.remembered
+        return self.states, self.measured, self.commands, full
+
+
+def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int, memory: Any) -> tuple[Trajectories, list]:
+    """One run under a law that is asked sample by sample, from this memory on; and its memories. Otherwise as `run`."""
+    every = _every(plant, controller)
+    played = Playback(controller.actuated, plant.dt)
+    N = lanes.reference.shape[1]
+    driven = replace(lanes, gains=np.empty((1, 0)), memory=np.empty((1, 0)), reference=np.zeros((1, N, len(controller.actuated))))
+    kernel, rows = _kernel(plant, played, SCALAR)
+    block = _Block(plant, kernel, rows, driven, np.zeros(1, dtype=int), substeps, 1)
+    read = _functions(plant, played)["read"]
+    at = [plant.output_names.index(name) for name in controller.measured]
+    rho = plant.output_names.index(controller.schedule) if controller.schedule else None
+    memories = []
+    for k in range(N):
+        if k % every == 0:
+            y = np.array(read(block.memory, block.noise[k], block.eta)).ravel()
+            u, memory = controller.step(memory, lanes.reference[0, k], y[at], None if rho is None else y[rho])
+            memories.append(memory)
+        block.reference[k, :, 0] = u
+        block.advance(k, k + 1)
+    states, measured, commands, _ = (np.moveaxis(values, 2, 0) for values in block.results())
+    return Trajectories(states[:, :, : len(plant.states)], measured, commands), memories
 
 
 def _grid(plant: Plant, effects: np.ndarray, substeps: int) -> tuple[np.ndarray, np.ndarray, int]:
