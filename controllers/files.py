@@ -3,14 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-from controllers import scheduled_pid
-from controllers.scheduled_pid import ScheduledPID
+from controllers import mpc, scheduled_pid
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
 
 SCHEMA = "gain-scheduling-workbench/controller"
 VERSION = 1
-KINDS: dict[str, Any] = {scheduled_pid.KIND: ScheduledPID}
+KINDS: dict[str, Any] = {scheduled_pid.KIND: scheduled_pid.ScheduledPID, mpc.KIND: mpc.MPC}
 
 
 def save_controller(controller: Any, path: str | Path) -> Path:

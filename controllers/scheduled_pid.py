@@ -155,32 +155,30 @@ class ScheduledPID:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package; a limit that is not there is null."""
-        limit = lambda values: [float(v) if np.isfinite(v) else None for v in values]  # noqa: E731
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
         return {
             "kind": KIND,
             "law": "u = u0 + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf",
             "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
-            "references": list(self.references), "schedule": self.schedule, "span": limit(self.span),
+            "references": list(self.references), "schedule": self.schedule, "span": finite(self.span),
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "u0": self.u0,
-            "b": self.b, "c": self.c, "Tf": self.Tf, "low": limit(self.low), "high": limit(self.high), "rate": limit(self.rate),
-            "anti_windup": {"kind": kind} | vars(self.anti_windup),
+            "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
+            "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup),
         }  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
         """The law that `to_dict` wrote."""
-        limit = lambda values, none: np.array([none if v is None else v for v in values])  # noqa: E731
         anti_windup = dict(content["anti_windup"])
         span = content["span"]
         return cls(
             actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
             dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"], u0=content["u0"], b=content["b"],
-            c=content["c"], low=limit(content["low"], -np.inf), high=limit(content["high"], np.inf),
-            rate=limit(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
+            c=content["c"], low=unlimited(content["low"], -np.inf), high=unlimited(content["high"], np.inf),
+            rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=content["schedule"], name=content["name"],
-            span=np.append(limit(span[:1], -np.inf), limit(span[1:], np.inf)),
+            span=np.append(unlimited(span[:1], -np.inf), unlimited(span[1:], np.inf)),
         )  # fmt: skip
 
     # ---- the law --------------------------------------------------------------------------------------------------------
@@ -307,6 +305,16 @@ class _Memory(NamedTuple):
     u: list
     cold: Any
     takes_over: Any
+
+
+def finite(values: np.ndarray) -> list[float | None]:
+    """Limits for a file: null where there is none."""
+    return [float(v) if np.isfinite(v) else None for v in values]
+
+
+def unlimited(values: list[float | None], none: float) -> np.ndarray:
+    """Limits from a file; none: what null stands for."""
+    return np.array([none if v is None else v for v in values], dtype=float)
 
 
 def parts(omega: np.ndarray, dt: float, Tf: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 import os
 import sys
 from argparse import Namespace
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -105,6 +106,8 @@ def simulate(options: Namespace) -> int:
             entry["scores"] = _replay_scores(plant, record, done.experiment)
         elif own_law:
             entry["tracking"] = _loop_scores(own_law, done.experiment)
+            if done.memories:
+                entry["statuses"] = _statuses(done.memories)
         summary.append(entry)
     configuration = {
         "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
@@ -117,6 +120,13 @@ def simulate(options: Namespace) -> int:
     if options.json:
         write_json(options.json, result)
     return 0
+
+
+def _statuses(memories: Sequence[Any]) -> dict[str, int]:
+    """How often each status stood behind a command."""
+    found = Counter(memory.status.value for memory in memories)
+    say("  commands: " + ", ".join(f"{status} {times}" for status, times in found.items()))
+    return dict(found)
 
 
 def _loop_scores(law: Controller, run: Experiment) -> list[dict[str, Any]]:

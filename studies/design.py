@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from controllers.export import write_gain_table
-from controllers.files import save_controller
+from controllers.files import load_controller, save_controller
+from controllers.mpc import default_weights, design_mpc
 from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, margins_of
+from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
 from studies.arguments import names, parse_numbers, run_folder
 from workbench.errors import InputError, check_known
@@ -17,24 +19,22 @@ from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
 
 Say = Callable[[str], None]
-KINDS = ("scheduled-pid", "pid")
+LIMITS = (("low", -np.inf), ("high", np.inf), ("rate", np.inf))  # options of the commands, and what none given means
+KINDS = ("scheduled-pid", "pid", "mpc")
 
 
 def design(options: Namespace, say: Say, progress: Say) -> int:
-    """Design the law that was asked for; writes <kind>.json, gains.csv and margins.csv."""
+    """Design the law that was asked for and write its files."""
     kind = check_known("controller", options.kind, KINDS)
     model = load_model(options.model)
-    bounds = _bounds(options)
-    structure = Structure(
-        derivative=not options.no_derivative, Tf=options.filter, b=options.setpoint_weight,
-        low=_by_name(options.low, model, -np.inf), high=_by_name(options.high, model, np.inf),
-        rate=_by_name(options.rate, model, np.inf),
-    )  # fmt: skip
     say(_described(model))
-    found = design_pid(
-        model, knots=_knots(options, kind, model), bounds=bounds, structure=structure,
-        setpoint=_setpoint(options.setpoint, model), robust_to=[load_model(path) for path in options.robust_to], say=progress,
-    )  # fmt: skip
+    return _design_mpc(options, model, say, progress) if kind == "mpc" else _design_pid(options, kind, model, say, progress)
+
+
+def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
+    """Writes <kind>.json, gains.csv, margins.csv and design.json."""
+    found = _tuned(options, kind, model, progress)
+    bounds = found.bounds
     folder = run_folder(options.out, "design")
     path = save_controller(found.law, folder / f"{kind}.json")
     write_gain_table(found.law, folder / "gains.csv", _channels(model))
@@ -45,16 +45,63 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
     _say_margins(found, over, model, say)
     say(f"controller -> {path}")
     say(f"gain table -> {folder / 'gains.csv'}, margins -> {folder / 'margins.csv'}")
-    say(f"next: workbench simulate PLANT --experiment NAME --controller {path}")
     result = {
-        "controller": str(path), "kind": kind, "bounds": vars(bounds), "knots": found.knots,
-        "integral_action": {"reached": found.low_frequency, "alone": found.alone}, "margins": vars(over),
-        "provenance": provenance({k: v for k, v in vars(options).items() if k != "json"}, [options.model, *options.robust_to]),
+        "kind": kind, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
+        "integral_action": {"reached": found.low_frequency, "alone": found.alone},
     }  # fmt: skip
-    write_json(folder / "design.json", result)
+    return _finished(options, folder, path, result, [options.model, *options.robust_to], say)
+
+
+def _design_mpc(options: Namespace, model: LPVModel, say: Say, progress: Say) -> int:
+    """Writes mpc.json, with its model and fallback law inside, and design.json."""
+    keep = _ranges(options.keep, model)
+    if options.fallback:
+        fallback = load_controller(options.fallback)
+        if not isinstance(fallback, ScheduledPID):
+            raise InputError("not a PID", file=options.fallback, mend="workbench design scheduled-pid, or leave --fallback out")
+    else:
+        progress("fallback law: scheduled PID")
+        fallback = _tuned(options, "pid" if model.schedule is None else "scheduled-pid", model, progress).law
+    low, high, rate = (_by_name(getattr(options, key), model, none) for key, none in LIMITS)
+    law = design_mpc(
+        model, fallback, horizon=options.horizon, low=low, high=high, rate=rate, y_low=keep[0], y_high=keep[1],
+        weights=default_weights(model, options.move),
+    )  # fmt: skip
+    folder = run_folder(options.out, "design")
+    path = save_controller(law, folder / "mpc.json")
+    place = "inputs" if law.observer.at_inputs else "outputs"
+    say(f"MPC over {law.horizon} samples ({law.horizon * law.dt:g} s), disturbances at the {place}")
+    for channel, a, b in zip(model.outputs, law.y_low, law.y_high, strict=True):
+        if np.isfinite(a) or np.isfinite(b):
+            say(f"  {channel.name} is kept from {a:g} to {b:g} {channel.unit} where that can be done")
+    for channel, a, b, c in zip(model.inputs, law.low, law.high, law.rate, strict=True):
+        say(f"  {channel.name} from {a:g} to {b:g} {channel.unit}, at most {c:g} {channel.unit}/s: always")
+    say(f"controller -> {path}")
+    files = [options.model, *([options.fallback] if options.fallback else [])]
+    return _finished(options, folder, path, {"kind": "mpc", "weights": vars(law.weights)}, files, say)
+
+
+def _finished(options: Namespace, folder: Path, path: Path, result: dict, files: list[str], say: Say) -> int:
+    say(f"next: workbench simulate PLANT --experiment NAME --controller {path}")
+    configuration = {key: value for key, value in vars(options).items() if key != "json"}
+    whole = {"controller": str(path)} | result | {"provenance": provenance(configuration, files)}
+    write_json(folder / "design.json", whole)
     if options.json:
-        write_json(options.json, result)
+        write_json(options.json, whole)
     return 0
+
+
+def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PIDDesign:
+    """The PID that the options ask for."""
+    bounds = _bounds(options)
+    low, high, rate = (_by_name(getattr(options, key), model, none) for key, none in LIMITS)
+    structure = Structure(
+        derivative=not options.no_derivative, Tf=options.filter, b=options.setpoint_weight, low=low, high=high, rate=rate
+    )
+    return design_pid(
+        model, knots=_knots(options, kind, model), bounds=bounds, structure=structure,
+        setpoint=_setpoint(options.setpoint, model), robust_to=[load_model(path) for path in options.robust_to], say=progress,
+    )  # fmt: skip
 
 
 def _channels(model: LPVModel) -> tuple:
@@ -87,6 +134,23 @@ def _by_name(texts: list[str], model: LPVModel, default: float) -> np.ndarray | 
     for name in given:
         check_known("input", name, known, file=model.name)
     return np.array([given.get(name, default) for name in known]) if given else None
+
+
+def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest outputs from theta=-20:20,w3=:120; infinite where none is given."""
+    known = [c.name for c in model.outputs]
+    low, high = np.full(len(known), -np.inf), np.full(len(known), np.inf)
+    for part in (part for text in texts for part in names(text)):
+        name, _, ends = part.partition("=")
+        at = known.index(check_known("output", name.strip(), known, file=model.name))
+        first, colon, last = ends.partition(":")
+        try:
+            low[at], high[at] = float(first or "-inf"), float(last or "inf")
+        except ValueError:
+            colon = ""
+        if not colon:
+            raise InputError(f"--keep {part}", mend=f"write {name or 'OUTPUT'}=LOW:HIGH, one of them may be left out")
+    return low, high
 
 
 def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:

@@ -407,14 +407,15 @@ def load_model(path) -> LPVModel:
     if content.get("version") != VERSION:
         raise InputError(f"model version {content.get('version')}, this program reads {VERSION}", file=path)
     try:
-        return _from_dict(content)
+        return model_from_dict(content)
     except KeyError as reason:
         raise InputError(f"field {reason.args[0]!r} is missing", file=path, mend="write the model again") from None
     except (TypeError, ValueError) as reason:
         raise InputError(f"malformed model: {reason}", file=path, mend="write the model again") from None
 
 
-def _from_dict(content: dict[str, Any]) -> LPVModel:
+def model_from_dict(content: dict[str, Any]) -> LPVModel:
+    """The model that `LPVModel.to_dict` wrote."""
     basis = basis_from_dict(content["basis"])
     terms = content["terms"]
     stacked = {key: np.array([term[key] for term in terms], dtype=float) for key in "ABCD"}

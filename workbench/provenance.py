@@ -8,7 +8,7 @@ from typing import Any
 
 from workbench.files import sha256
 
-PACKAGES = ("gain-scheduling-workbench", "numpy", "scipy", "control", "casadi", "numba", "cvxpy", "clarabel", "highspy")
+PACKAGES = ("gain-scheduling-workbench", "numpy", "scipy", "control", "casadi", "numba", "cvxpy", "clarabel", "daqp", "highspy")
 
 
 def versions() -> dict[str, str]:

@@ -10,11 +10,14 @@ import pytest
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
 from controllers.scheduled_pid import BackCalculation, Clamping
+from plants import WEB_WINDING
 from studies.cli import main
-from studies.experiments import web_winding_loops
-from workbench.data import Channel
+from studies.experiments import plan, web_winding_loops
+from workbench.data import Channel, Dataset
 from workbench.errors import InputError
+from workbench.identify.lti import LTI
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term
+from workbench.simulate import simulate
 
 
 def turning_model() -> LPVModel:
@@ -97,6 +100,35 @@ def test_a_fixed_law_says_where_it_breaks_its_bounds(folder, capsys):
     assert "workbench design scheduled-pid keeps them" in said
 
 
+def test_an_mpc_comes_back_as_it_went_and_closes_the_loop(tmp_path, capsys):
+    """On a model of the machine's own records, with the identification loops as fallback."""
+    plans = [plan("web-winding", name) for name in ("prbs1", "rbs")]
+    runs = [simulate(WEB_WINDING, p.controller, p.scenario(1)).experiment for p in plans]
+    LTI(order=8).fit(Dataset(tuple(e.with_roles(("V1", "V2"), ("w3", "theta")) for e in runs))).save(tmp_path / "m.json")
+    fallback = replace(web_winding_loops(), actuated=("V1", "V2"), measured=("w3", "theta"), u0=web_winding_loops().u0[:, ::-1],
+                       Kp=web_winding_loops().Kp[:, ::-1], Ki=web_winding_loops().Ki[:, ::-1])  # fmt: skip
+    save_controller(fallback, tmp_path / "pid.json")
+    files = ["--model", str(tmp_path / "m.json"), "--fallback", str(tmp_path / "pid.json"), "--out", str(tmp_path / "out")]
+    limits = ["--low", "V1=-1,V2=0", "--high", "V1=4,V2=5", "--rate", "V1=20", "--keep", "theta=-15:15"]
+    assert main(["design", "mpc", *files, *limits, "--horizon", "10"]) == 0
+    said = capsys.readouterr().out
+    assert "theta is kept from -15 to 15 deg" in said
+    assert "V1 from -1 to 4 V, at most 20 V/s: always" in said
+    law = load_controller(tmp_path / "out" / "mpc.json")
+    again = load_controller(save_controller(law, tmp_path / "again.json"))
+    r, y = np.array([100.0, 0.0]), np.array([99.0, 1.0])
+    one, other = law.init(np.array([0.1, 2.3])), again.init(np.array([0.1, 2.3]))
+    for _ in range(5):
+        (u, one), (v, other) = law.step(one, r, y, None), again.step(other, r, y, None)
+        np.testing.assert_array_equal(u, v)
+    code = main(["simulate", "web-winding", "--experiment", "ramp", "--controller", str(tmp_path / "out" / "mpc.json"),
+                 "--out", str(tmp_path / "sim")])  # fmt: skip
+    assert code == 0
+    run = json.loads((tmp_path / "sim" / "simulate.json").read_text())["runs"][0]
+    assert run["statuses"] == {"optimal": 2250}
+    assert run["tracking"][0]["RMS"] < 10.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -109,6 +141,8 @@ def test_a_fixed_law_says_where_it_breaks_its_bounds(folder, capsys):
         (["scheduled-pid", "--low", "V1=2", "--high", "V1=1"], "V1: lower limit 2 is not below the upper 1"),
         (["pid", "--at", "0.5"], "the model knows r2 from 0.011 to 0.0264 m"),
         (["scheduled-pid", "--at", "0.02"], "--at is for a fixed law"),
+        (["mpc", "--keep", "theta=5"], "write theta=LOW:HIGH"),
+        (["mpc", "--keep", "phi=1:2"], "unknown output 'phi'"),
     ],
 )
 def test_slips_are_named(folder, capsys, arguments, message):

@@ -1,0 +1,101 @@
+"""The quadratic program of a linear time-varying prediction, with the states eliminated: compiled.
+
+    x_{i+1} = A_i x_i + B_i u_i + c_i,   y_i = C_i x_i + g_i,   i = 0..N-1
+    2 J = sum_{i=1}^{N-1} |y_i - r_i|_Q^2 + sum_{i=0}^{N-1} (|u_i - u_{i-1}|_S^2 + |u_i - ut|_R^2)
+          + |(x_N - xt, u_{N-1} - ut)|_P^2
+      J = 1/2 U' H U + f' U + constant,   y_{1..N} = Y U + y_free
+
+What u_i moves later is zero in T and Y before; the loops run over the rest.
+"""
+
+import numpy as np
+from numba import njit
+
+_MATRIX, _VECTOR = "f8[:, ::1]", "f8[::1]"
+
+
+@njit(
+    f"Tuple(({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}))({_MATRIX}, i8, i8, i8, {_MATRIX}, {_MATRIX}, {_VECTOR}, {_MATRIX},"
+    f"{_VECTOR}, {_VECTOR}, {_VECTOR}, {_MATRIX}, {_MATRIX}, {_MATRIX}, {_MATRIX})",
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def condense(M, nx, nu, ny, c, g, x0, r, last, xt, ut, Q, S, R, P):
+    """H (n, n), f (n), Y (N ny, n) and y_free (N ny), n = N nu.
+
+    M (N + 1, nx nx + nx nu + ny nx): A, B, C of every step, flat side by side. c (N, nx), g (N + 1, ny), x0 (nx), r (N + 1, ny),
+    last (nu): the command before; xt (nx), ut (nu): target.
+    """
+    N = len(c)
+    n = N * nu
+    b, o = nx * nx, nx * nx + nx * nu  # where B and C begin
+    H, f, Y, free = np.zeros((n, n)), np.zeros(n), np.zeros((N * ny, n)), np.empty(N * ny)
+    T, after = np.zeros((nx, n)), np.zeros((nx, n))  # x_i = T U + x
+    x, moved, QY, error = x0.copy(), np.empty(nx), np.empty((ny, n)), np.empty(ny)
+    for i in range(N):
+        width = i * nu
+        for a in range(nx):
+            total = c[i, a]
+            for k in range(nx):
+                total += M[i, a * nx + k] * x[k]
+            moved[a] = total
+            for j in range(width):
+                after[a, j] = 0.0
+            for k in range(nx):
+                entry = M[i, a * nx + k]
+                if entry != 0.0:
+                    for j in range(width):
+                        after[a, j] += entry * T[k, j]
+            for j in range(nu):
+                after[a, width + j] = M[i, b + a * nu + j]
+        T, after = after, T
+        x, moved = moved, x
+        width += nu
+        for a in range(ny):
+            row = i * ny + a
+            total = g[i + 1, a]
+            for k in range(nx):
+                entry = M[i + 1, o + a * nx + k]
+                total += entry * x[k]
+                for j in range(width):
+                    Y[row, j] += entry * T[k, j]
+            free[row] = total
+            error[a] = total - r[i + 1, a]
+        if i < N - 1:
+            for a in range(ny):
+                for j in range(width):
+                    QY[a, j] = 0.0
+                for k in range(ny):
+                    for j in range(width):
+                        QY[a, j] += Q[a, k] * Y[i * ny + k, j]
+            for a in range(ny):
+                row = i * ny + a
+                for j in range(width):
+                    f[j] += QY[a, j] * error[a]
+                    entry = Y[row, j]
+                    for m in range(width):
+                        H[j, m] += entry * QY[a, m]
+    # the terminal cost on (x_N - xt, u_{N-1} - ut)
+    m = nx + nu
+    end, offset = np.zeros((m, n)), np.empty(m)
+    end[:nx] = T
+    for j in range(nu):
+        end[nx + j, n - nu + j] = 1.0
+        offset[nx + j] = -ut[j]
+    for a in range(nx):
+        offset[a] = x[a] - xt[a]
+    PE = P @ end
+    H += end.T @ PE
+    f += offset @ PE
+    for i in range(N):
+        for j in range(nu):
+            for k in range(nu):
+                p, q = i * nu + j, i * nu + k
+                H[p, q] += S[j, k] + R[j, k]
+                f[p] -= R[j, k] * ut[k]
+                if i == 0:
+                    f[p] -= S[j, k] * last[k]
+                else:
+                    H[p - nu, q - nu] += S[j, k]
+                    H[p - nu, q] -= S[j, k]
+                    H[p, q - nu] -= S[j, k]
+    return H, f, Y, free

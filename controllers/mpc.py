@@ -1,0 +1,498 @@
+"""LPV-MPC: a quadratic program on the identified model along the schedule that it will run through.
+
+    minimise    sum |y_i - r_i|_Q^2 + |u_i - u_{i-1}|_S^2 + |u_i - ut|_R^2 + |(x_N - xt, u_{N-1} - ut)|_P^2 + w1' s + w2' s^2
+    such that   low <= u_i <= high,   |u_i - u_{i-1}| <= rate dt,   y_low - s <= y_i <= y_high + s,   s >= 0
+
+over x_{i+1} = A(rho_i) x_i + B(rho_i) (u_i - u0 + d) and y_i = C(rho_i) x_i + y0 with the state and disturbance of the observer.
+(xt, ut) is the steady state in which the outputs come as near to the set-point as the limits allow; it replaces a set-point that
+cannot be reached. P is the cost of the linear-quadratic regulator from there on: without active limits the first move is that
+regulator's, whatever the horizon. Limits of the commands are hard, those of the outputs give way at a price.
+
+Every answer carries a status. Where the program has none, a second solver is asked; then the last plan goes on as long as it
+lasts; then a PID takes over. A command is never NaN and never outside its limits.
+"""
+
+from enum import Enum
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError, solve_discrete_are
+
+from controllers.observer import Observer, design_observer
+from controllers.scheduled_pid import ScheduledPID, finite, unlimited
+from workbench.errors import InputError
+from workbench.lpv import LPVModel, model_from_dict
+from workbench.records import field, record
+
+KIND = "mpc"
+POINTS = 11  # schedule values at which terminal costs are found
+TINY = 1e-9  # relative weight that keeps a program strictly convex
+
+
+class Status(Enum):
+    """Where a command came from."""
+
+    OPTIMAL = "optimal"
+    SECOND_SOLVER = "second solver"
+    LAST_PLAN = "last plan"
+    FALLBACK = "fallback law"
+
+
+@record
+class Held:
+    """The schedule stays where it was measured."""
+
+
+@record
+class Extrapolated:
+    """The schedule goes on as it went: its slope, averaged over `memory` samples, is kept over the horizon."""
+
+    memory: float = field("", low=1.0, default=25.0)
+
+
+Prediction = Held | Extrapolated
+
+
+@record
+class Weights:
+    """What counts how much; each (ny,) or (nu,): errors of the outputs, moves of the commands, distance from the target.
+
+    violation: price of a unit of an output beyond its limit, as a multiple of what the same error costs, linear and squared.
+    """
+
+    outputs: np.ndarray = field("ny", low=0.0)
+    moves: np.ndarray = field("nu", low=0.0)
+    inputs: np.ndarray = field("nu", low=0.0)
+    violation: float = field("", low=0.0, default=1e3)
+
+
+class MPCState(NamedTuple):
+    """Memory of the law: observer's state z, last command, last schedule and slope, last plan and its age, and how it came.
+
+    status None before the first sample. law: memory of the fallback law while it commands.
+    """
+
+    z: np.ndarray
+    u: np.ndarray
+    rho: float
+    slope: float
+    plan: np.ndarray
+    age: int
+    status: Status | None
+    law: np.ndarray | None
+
+
+class Program(NamedTuple):
+    """min 1/2 z'Hz + f'z, low <= z[:k] <= high, A z within lower and upper; bounds first in `lower` and `upper`."""
+
+    H: np.ndarray
+    f: np.ndarray
+    A: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+@record
+class MPC:
+    """The law; see the module. horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
+
+    fallback: a PID on the same channels for when nothing else is left.
+    """
+
+    model: LPVModel
+    observer: Observer
+    weights: Weights
+    horizon: int
+    low: np.ndarray = field("nu")
+    high: np.ndarray = field("nu")
+    rate: np.ndarray = field("nu", unit="1/s", low=1e-300)
+    y_low: np.ndarray = field("ny")
+    y_high: np.ndarray = field("ny")
+    fallback: ScheduledPID
+    prediction: Prediction = field(default_factory=Extrapolated)
+    name: str = "mpc"
+
+    def __post_init__(self):
+        if self.horizon < 1:
+            raise InputError(f"horizon {self.horizon}", file=self.name, mend="at least one sample; 10 to 40 are usual")
+        model = self.model
+        for channels, low, high in ((model.inputs, self.low, self.high), (model.outputs, self.y_low, self.y_high)):
+            for channel, a, b in zip(channels, low, high, strict=True):
+                if not a < b:
+                    raise InputError(f"lower limit {a:g} is not below the upper {b:g}", file=self.name, channel=channel.name)
+        if (self.fallback.actuated, self.fallback.measured) != (self.actuated, self.measured):
+            raise InputError(
+                f"the fallback law goes from {', '.join(self.fallback.measured)} to {', '.join(self.fallback.actuated)}",
+                file=self.name, mend=f"design it on the same model: {', '.join(self.measured)} to {', '.join(self.actuated)}",
+            )  # fmt: skip
+        _ = self._terminal  # an uncontrollable model is refused here, not at the first sample
+
+    # ---- what a loop needs to know ----------------------------------------------------------------------------------------
+
+    @property
+    def dt(self) -> float:
+        return self.model.dt
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        return tuple(c.name for c in self.model.inputs)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        return tuple(c.name for c in self.model.outputs)
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        return tuple(f"{name}_set" for name in self.measured)
+
+    @property
+    def schedule(self) -> str | None:
+        return self.model.schedule.name if self.model.schedule else None
+
+    def init(self, u: np.ndarray | None = None) -> MPCState:
+        """Before the first sample; u: the command that it takes over from, else that of the model's operating point."""
+        held = self._operating(np.array([np.mean(self.model.span)]))[0][0] if u is None else np.asarray(u, dtype=float)
+        unknown = np.full(self.observer.L.shape[1], np.nan)  # found from the first measurement
+        return MPCState(unknown, held, np.nan, 0.0, np.empty((0, len(held))), 0, None, None)
+
+    # ---- files ------------------------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, readable without the package, the model and the fallback law included."""
+        return {
+            "kind": KIND, "name": self.name, "horizon": self.horizon, "weights": vars(self.weights),
+            "low": finite(self.low), "high": finite(self.high), "rate": finite(self.rate),
+            "y_low": finite(self.y_low), "y_high": finite(self.y_high),
+            "prediction_memory": self.prediction.memory if isinstance(self.prediction, Extrapolated) else None,
+            "observer": {key: getattr(self.observer, key) for key in ("at_inputs", "rho", "L", "J")},
+            "fallback": self.fallback.to_dict(), "model": self.model.to_dict(),
+        }  # fmt: skip
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> "MPC":
+        """The law that `to_dict` wrote."""
+        model, memory = model_from_dict(content["model"]), content["prediction_memory"]
+        low, rate = (unlimited(content[key], none) for key, none in (("low", -np.inf), ("rate", np.inf)))
+        return cls(
+            model, Observer(model, **content["observer"]), Weights(**content["weights"]), content["horizon"], low,
+            unlimited(content["high"], np.inf), rate, unlimited(content["y_low"], -np.inf), unlimited(content["y_high"], np.inf),
+            ScheduledPID.from_dict(content["fallback"]), Held() if memory is None else Extrapolated(memory), content["name"],
+        )  # fmt: skip
+
+    # ---- one sample -------------------------------------------------------------------------------------------------------
+
+    def step(self, state: MPCState, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> tuple[np.ndarray, MPCState]:
+        """One sample: (u, next memory). r (ny,), or (N, ny) where the set-points of the samples to come are known.
+
+        A measurement that is not a number corrects nothing: the model goes on alone.
+        """
+        rho, slope = self._followed(state, rho)
+        path = self._path(rho, slope)
+        model = _Along(self, path)
+        z, e = self._corrected(state, model, rho, np.asarray(y, dtype=float))
+        wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, len(self.measured)))
+        wanted = np.where(np.isfinite(wanted), wanted, model.outputs(z))  # no set-point: stay where it is
+        plan, status = self._planned(state, model, z, np.vstack([wanted, wanted[-1:]]))
+        age, law = 0, None
+        if plan is None and state.age + 1 < len(state.plan):
+            plan, status, age = state.plan, Status.LAST_PLAN, state.age + 1
+        if plan is not None:
+            u = plan[age]
+        else:
+            law = self.fallback.init(state.u) if state.law is None else state.law
+            seen = np.where(np.isfinite(y), y, wanted[0])
+            u, law = self.fallback.step(law, wanted[0], seen, rho)
+            plan, status = np.empty((0, len(u))), Status.FALLBACK
+        low, high = self._reach(state.u)
+        u = np.clip(u, low[0], high[0])
+        return u, MPCState(model.moved(z, u, self.observer.gains(rho)[1] @ e), u, rho, slope, plan, age, status, law)
+
+    def _followed(self, state: MPCState, rho: float | None) -> tuple[float, float]:
+        """The schedule value, and its slope a sample; the last ones where it was not measured."""
+        if self.model.schedule is None:
+            return 0.0, 0.0
+        if rho is None or not np.isfinite(rho):
+            return (float(np.mean(self.model.span)), 0.0) if np.isnan(state.rho) else (state.rho, state.slope)
+        if np.isnan(state.rho) or isinstance(self.prediction, Held):
+            return float(rho), 0.0
+        return float(rho), state.slope + (rho - state.rho - state.slope) / self.prediction.memory
+
+    def _path(self, rho: float, slope: float) -> np.ndarray:
+        """The schedule over the horizon, (N + 1,), within what the model knows."""
+        return np.clip(rho + slope * np.arange(self.horizon + 1), *self.model.span)
+
+    def _corrected(self, state: MPCState, model: "_Along", rho: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The observer's state after this sample's measurement, and its innovation."""
+        seen = bool(np.isfinite(y).all())
+        if np.isnan(state.z).any():  # first sample: as if the machine had stood at this measurement under the last command
+            return model.at_rest(state.u, y if seen else model.y0[0]), np.zeros(len(y))
+        e = y - model.outputs(state.z) if seen else np.zeros(len(y))
+        return state.z + self.observer.gains(rho)[0] @ e, e
+
+    def _planned(self, state: MPCState, model: "_Along", z: np.ndarray, r: np.ndarray) -> tuple[np.ndarray | None, Status]:
+        """Commands (N, nu) of the program, or None."""
+        program = self._program(state.u, model, z, r)
+        for solver, status in ((solved_by_daqp, Status.OPTIMAL), (solved_by_clarabel, Status.SECOND_SOLVER)):
+            answer = solver(program)
+            if answer is not None:
+                nu = len(self.actuated)
+                return answer[: self.horizon * nu].reshape(-1, nu), status
+        return None, Status.FALLBACK
+
+    def _program(self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray) -> Program:
+        """The quadratic program in the commands and the slacks of the outputs."""
+        from controllers.condensing import condense  # compiled when first needed
+
+        nx, nu, ny, N = model.nx, len(last), r.shape[1], self.horizon
+        xt, ut, yt = self._target(last, model, z, r[-1])
+        d_in, d_out = model.disturbances(z)
+        c = model.pushed(d_in - model.u0[:N])
+        H, f, Y, free = condense(
+            model.M, nx, nu, ny, c, model.y0 + d_out, np.ascontiguousarray(z[:nx]), r + (yt - r[-1]), last, xt, ut,
+            self._Q, self._S, self._R, self._terminal_cost(model.path[-1]),
+        )  # fmt: skip
+        soft, prices, A = self._rows
+        n, k = N * nu, len(soft)
+        low, high = self._reach(last)
+        limit = self.rate * self.dt
+        total = np.zeros((n + k, n + k))
+        total[:n, :n] = H
+        total[range(n), range(n)] += TINY * np.trace(H) / n
+        total[range(n, n + k), range(n, n + k)] = prices[1]
+        A = A.copy()
+        moves = (N - 1) * nu
+        near, far = [low.ravel(), np.zeros(k), -np.tile(limit, N - 1)], [high.ravel(), np.full(k, np.inf), np.tile(limit, N - 1)]
+        for j, output in enumerate(soft):
+            at = moves + 2 * j * N
+            A[at : at + N, :n] = A[at + N : at + 2 * N, :n] = Y[output::ny]
+            near += [np.full(N, -np.inf), self.y_low[output] - free[output::ny]]
+            far += [self.y_high[output] - free[output::ny], np.full(N, np.inf)]
+        return Program(total, np.concatenate([f, prices[0]]), A, np.concatenate(near), np.concatenate(far))
+
+    def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest commands (N, nu): the limits, or where the rate lets one come from outside of them."""
+        way = self.rate * self.dt * np.arange(1, self.horizon + 1)[:, None]
+        low, high = np.minimum(self.low, last + way), np.maximum(self.high, last - way)
+        low[0], high[0] = np.maximum(low[0], last - way[0]), np.minimum(high[0], last + way[0])
+        return low, high
+
+    def _target(
+        self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Steady state, command and outputs nearest to the set-point that the limits allow."""
+        A, B, C = model.matrices(-1)
+        d_in, d_out = model.disturbances(z)
+        moved = np.linalg.solve(np.eye(len(A)) - A, B)
+        G = C @ moved
+        offset = G @ (d_in - model.u0[-1]) + model.y0[-1] + d_out
+        r = np.clip(r, self.y_low, self.y_high)
+        H = G.T @ self._Q @ G + self._R
+        H += TINY * np.trace(H) / len(H) * np.eye(len(H))
+        f = G.T @ self._Q @ (offset - r) - self._R @ last
+        u = np.linalg.solve(H, -f)
+        if np.any(u < self.low) or np.any(u > self.high):
+            bounded = solved_by_daqp(Program(H, f, np.empty((0, len(u))), np.array(self.low), np.array(self.high)))
+            u = np.clip(u, self.low, self.high) if bounded is None else bounded
+        return moved @ (u + d_in - model.u0[-1]), u, G @ u + offset
+
+    # ---- found once -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _Q(self) -> np.ndarray:
+        return np.diag(self.weights.outputs)
+
+    @cached_property
+    def _S(self) -> np.ndarray:
+        return np.diag(self.weights.moves)
+
+    @cached_property
+    def _R(self) -> np.ndarray:
+        return np.diag(self.weights.inputs)
+
+    @cached_property
+    def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Outputs with limits, their prices (linear, squared), and the rows of A that never change."""
+        soft = np.nonzero(np.isfinite(self.y_low) | np.isfinite(self.y_high))[0]
+        cost = np.where(self.weights.outputs > 0.0, self.weights.outputs, 1.0)[soft]
+        N, nu, k = self.horizon, len(self.actuated), len(soft)
+        A = np.zeros(((N - 1) * nu + 2 * k * N, N * nu + k))
+        row = np.arange((N - 1) * nu)
+        A[row, row + nu], A[row, row] = 1.0, -1.0
+        for j in range(k):
+            at = (N - 1) * nu + 2 * j * N
+            A[at : at + N, N * nu + j], A[at + N : at + 2 * N, N * nu + j] = -1.0, 1.0
+        return soft, self.weights.violation * np.stack([np.sqrt(cost), cost]), A
+
+    @cached_property
+    def _flat(self) -> np.ndarray:
+        """A, B, C of every term, flat side by side."""
+        model = self.model
+        return np.hstack([M.reshape(len(model.terms), -1) for M in (model.A, model.B, model.C)])
+
+    @cached_property
+    def _functions(self) -> np.ndarray:
+        return np.array([term.function for term in self.model.terms])
+
+    @cached_property
+    def _terminal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Schedule values, and there the cost of the regulator on (x, last command)."""
+        low, high = self.model.span
+        grid = np.linspace(low, high, POINTS) if self.model.schedule else np.zeros(1)
+        return grid, np.array([self._regulator(rho) for rho in grid])
+
+    def _regulator(self, rho: float) -> np.ndarray:
+        A, B, C, _ = self.model.freeze(rho if self.model.schedule else None)
+        nx, nu = B.shape
+        Az, Bz = np.block([[A, B], [np.zeros((nu, nx)), np.eye(nu)]]), np.vstack([B, np.eye(nu)])
+        Q = np.zeros((nx + nu, nx + nu))
+        Q[:nx, :nx], Q[nx:, nx:] = C.T @ self._Q @ C, self._R
+        cross = np.vstack([np.zeros((nx, nu)), self._R])
+        S = self._S + self._R
+        try:
+            return solve_discrete_are(Az, Bz, Q, S + TINY * np.eye(nu) * max(np.trace(S), 1e-300), s=cross)
+        except (LinAlgError, ValueError):
+            at = f" at {self.model.schedule.name} = {rho:.4g}" if self.model.schedule else ""
+            raise InputError(
+                f"no regulator{at}: a mode cannot be moved, or counts for nothing", file=self.model.name,
+                mend="give every output a weight above 0, and a model whose inputs move all of it",
+            ) from None  # fmt: skip
+
+    def _terminal_cost(self, rho: float) -> np.ndarray:
+        grid, P = self._terminal
+        if len(grid) == 1:
+            return P[0]
+        i = int(np.clip(np.searchsorted(grid, rho) - 1, 0, len(grid) - 2))
+        t = (rho - grid[i]) / (grid[i + 1] - grid[i])
+        return P[i] + t * (P[i + 1] - P[i])
+
+    def _operating(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """u0 and y0 along a schedule."""
+        phi = self.model.operating_point.basis(path)
+        return phi @ self.model.operating_point.u, phi @ self.model.operating_point.y
+
+
+class _Along:
+    """The model along the schedule of the horizon; z = (x, d) is the observer's state."""
+
+    def __init__(self, law: MPC, path: np.ndarray):
+        self.path, self.at_inputs = path, law.observer.at_inputs
+        self.nx, self.nu, self.ny = law.model.order, len(law.actuated), len(law.measured)
+        self.M = law.model.basis(path)[:, law._functions] @ law._flat
+        self.u0, self.y0 = law._operating(path)
+
+    def matrices(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C of sample i."""
+        nx, nu = self.nx, self.nu
+        A, B, C = np.split(self.M[i], [nx * nx, nx * (nx + nu)])
+        return A.reshape(nx, nx), B.reshape(nx, nu), C.reshape(self.ny, nx)
+
+    def disturbances(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """At the inputs (nu,) and at the outputs (ny,)."""
+        d = z[self.nx :]
+        return (d, np.zeros(self.ny)) if self.at_inputs else (np.zeros(self.nu), d)
+
+    def pushed(self, u: np.ndarray) -> np.ndarray:
+        """B_i u_i, (N, nx)."""
+        B = self.M[: len(u), self.nx**2 : self.nx * (self.nx + self.nu)].reshape(-1, self.nx, self.nu)
+        return np.ascontiguousarray((B @ u[:, :, None])[:, :, 0])
+
+    def outputs(self, z: np.ndarray) -> np.ndarray:
+        """What is measured now at z."""
+        return self.matrices(0)[2] @ z[: self.nx] + self.disturbances(z)[1] + self.y0[0]
+
+    def moved(self, z: np.ndarray, u: np.ndarray, push: np.ndarray) -> np.ndarray:
+        """z at the next sample."""
+        A, B, _ = self.matrices(0)
+        x = A @ z[: self.nx] + B @ (u - self.u0[0] + self.disturbances(z)[0])
+        return np.concatenate([x, z[self.nx :]]) + push
+
+    def at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """z of a machine that stands at y under u."""
+        A, B, C = self.matrices(0)
+        moved = np.linalg.solve(np.eye(self.nx) - A, B)
+        own = u - self.u0[0]
+        if self.at_inputs:
+            acting = np.linalg.solve(C @ moved, y - self.y0[0])
+            return np.concatenate([moved @ acting, acting - own])
+        return np.concatenate([moved @ own, y - self.y0[0] - C @ moved @ own])
+
+
+def solved_by_daqp(program: Program) -> np.ndarray | None:
+    """The answer of DAQP where it says optimal and the limits confirm it, else None."""
+    import daqp
+
+    rows, upper, lower = np.ascontiguousarray(program.A), np.minimum(program.upper, 1e30), np.maximum(program.lower, -1e30)
+    x, _, flag, _ = daqp.solve(program.H, program.f, rows, upper, lower)
+    return _believed(program, np.asarray(x)) if flag == 1 else None
+
+
+def solved_by_clarabel(program: Program) -> np.ndarray | None:
+    """The answer of Clarabel where it says solved and the limits confirm it, else None."""
+    import clarabel as compiled  # its names are not visible to the type checker
+    from scipy import sparse
+
+    clarabel: Any = compiled
+    n = len(program.f)
+    bounds = len(program.lower) - len(program.A)
+    rows = np.vstack([np.eye(n)[:bounds], program.A])
+    above, below = np.isfinite(program.upper), np.isfinite(program.lower)
+    A = sparse.csc_matrix(np.vstack([rows[above], -rows[below]]))
+    b = np.concatenate([program.upper[above], -program.lower[below]])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    try:
+        P = sparse.csc_matrix(np.triu(program.H))
+        answer = clarabel.DefaultSolver(P, program.f, A, b, [clarabel.NonnegativeConeT(len(b))], settings).solve()
+    except Exception:  # numbers that are none: the solver panics, the loop must not
+        return None
+    return _believed(program, np.array(answer.x)) if answer.status == clarabel.SolverStatus.Solved else None
+
+
+def _believed(program: Program, x: np.ndarray) -> np.ndarray | None:
+    """x where it is finite and keeps the limits, to a millionth of their size."""
+    if not np.isfinite(x).all():
+        return None
+    bounds = len(program.lower) - len(program.A)
+    value = np.concatenate([x[:bounds], program.A @ x])
+    slack = 1e-6 * (1.0 + np.abs(value))
+    return x if np.all(value <= program.upper + slack) and np.all(value >= program.lower - slack) else None
+
+
+def default_weights(model: LPVModel, move: float = 1.0) -> Weights:
+    """An output counts in units of what unit inputs move it in the middle of the schedule; move: price of a unit move."""
+    A, B, C, D = model.freeze(float(np.mean(model.span)) if model.schedule else None)
+    scale = np.linalg.norm(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D, axis=1)
+    if not np.all(scale > 0.0):
+        dead = model.outputs[int(scale.argmin())].name
+        raise InputError("no input moves it in the steady state", file=model.name, channel=dead, mend="leave this output out")
+    nu = len(model.inputs)
+    return Weights(1.0 / scale**2, np.full(nu, move), np.zeros(nu))
+
+
+def design_mpc(
+    model: LPVModel,
+    fallback: ScheduledPID,
+    *,
+    horizon: int = 20,
+    weights: Weights | None = None,
+    observer: Observer | None = None,
+    low: np.ndarray | None = None,
+    high: np.ndarray | None = None,
+    rate: np.ndarray | None = None,
+    y_low: np.ndarray | None = None,
+    y_high: np.ndarray | None = None,
+    prediction: Prediction | None = None,
+) -> MPC:
+    """An LPV-MPC on `model`. Limits default to those of the fallback law, outputs to none.
+
+    weights default: `default_weights`.
+    """
+    ny = len(model.outputs)
+    each = lambda given, default: default if given is None else given  # noqa: E731
+    return MPC(
+        model, observer or design_observer(model), weights or default_weights(model), horizon,
+        each(low, fallback.low), each(high, fallback.high), each(rate, fallback.rate),
+        np.broadcast_to(each(y_low, -np.inf), ny), np.broadcast_to(each(y_high, np.inf), ny), fallback,
+        prediction or Extrapolated(),
+    )  # fmt: skip
