@@ -15,7 +15,7 @@ from studies.cli import main
 from studies.experiments import plan, web_winding_loops
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
-from workbench.identify.lti import LTI
+from workbench.identify.ssm import SSM
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term
 from workbench.simulate import simulate
 
@@ -104,7 +104,9 @@ def test_an_mpc_comes_back_as_it_went_and_closes_the_loop(tmp_path, capsys):
     """On a model of the machine's own records, with the identification loops as fallback."""
     plans = [plan("web-winding", name) for name in ("prbs1", "rbs")]
     runs = [simulate(WEB_WINDING, p.controller, p.scenario(1)).experiment for p in plans]
-    LTI(order=8).fit(Dataset(tuple(e.with_roles(("V1", "V2"), ("w3", "theta")) for e in runs))).save(tmp_path / "m.json")
+    SSM(order=4, mu_factor=1.1).fit(Dataset(tuple(e.with_roles(("V1", "V2"), ("w3", "theta"), ("r2",)) for e in runs))).save(
+        tmp_path / "m.json"
+    )
     fallback = replace(web_winding_loops(), actuated=("V1", "V2"), measured=("w3", "theta"), u0=web_winding_loops().u0[:, ::-1],
                        Kp=web_winding_loops().Kp[:, ::-1], Ki=web_winding_loops().Ki[:, ::-1])  # fmt: skip
     save_controller(fallback, tmp_path / "pid.json")
@@ -119,14 +121,14 @@ def test_an_mpc_comes_back_as_it_went_and_closes_the_loop(tmp_path, capsys):
     r, y = np.array([100.0, 0.0]), np.array([99.0, 1.0])
     one, other = law.init(np.array([0.1, 2.3])), again.init(np.array([0.1, 2.3]))
     for _ in range(5):
-        (u, one), (v, other) = law.step(one, r, y, None), again.step(other, r, y, None)
+        (u, one), (v, other) = law.step(one, r, y, 0.015), again.step(other, r, y, 0.015)
         np.testing.assert_array_equal(u, v)
-    code = main(["simulate", "web-winding", "--experiment", "ramp", "--controller", str(tmp_path / "out" / "mpc.json"),
+    code = main(["simulate", "web-winding", "--experiment", "rbs", "--controller", str(tmp_path / "out" / "mpc.json"),
                  "--out", str(tmp_path / "sim")])  # fmt: skip
     assert code == 0
     run = json.loads((tmp_path / "sim" / "simulate.json").read_text())["runs"][0]
     assert run["statuses"] == {"optimal": 2250}
-    assert run["tracking"][0]["RMS"] < 10.0
+    assert run["tracking"][0]["RMS"] < 15.0
 
 
 @pytest.mark.parametrize(
