@@ -99,3 +99,74 @@ def condense(M, nx, nu, ny, c, g, x0, r, last, xt, ut, Q, S, R, P):
                     H[p - nu, q] -= S[j, k]
                     H[p, q - nu] -= S[j, k]
     return H, f, Y, free
+
+
+@njit(
+    f"Tuple(({_VECTOR}, {_MATRIX}, {_VECTOR}, {_MATRIX}))({_VECTOR}, i8, i8, i8, {_VECTOR}, {_VECTOR})",
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def steady(M, nx, nu, ny, u, y):
+    """What inputs do in the steady state: x = X v + x0 and y = G v + y0 for commands v; returns x0, X, y0, G.
+
+    M: A, B, C flat side by side; u (nu,): what acts beside v; y (ny,): what is measured at x = 0.
+    """
+    A, B = np.eye(nx) - M[: nx * nx].reshape(nx, nx), M[nx * nx : nx * (nx + nu)].copy().reshape(nx, nu)
+    X = np.ascontiguousarray(np.linalg.solve(A, B))
+    G = M[nx * (nx + nu) :].copy().reshape(ny, nx) @ X
+    return X @ u, X, G @ u + y, G
+
+
+@njit(
+    f"Tuple(({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}, {_VECTOR}))({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}, {_MATRIX},"
+    f"{_MATRIX}, {_VECTOR}, {_VECTOR}, {_VECTOR}, i8[::1], {_MATRIX}, f8)",
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def with_limits(H, f, Y, free, low, high, way, y_low, y_high, soft, prices, ridge):
+    """The program in (U, s): its H, f, rows, and lower and upper limits, those of the variables first.
+
+    low, high (N, nu); way (nu,): largest move; soft (k,): outputs with limits; prices (2, k): linear and squared; ridge: what is
+    added to H's diagonal, in its mean.
+    """
+    N, nu = low.shape
+    n, k, ny = N * nu, len(soft), len(y_low)
+    moves = n - nu
+    rows = moves + 2 * k * N
+    whole, linear, A = np.zeros((n + k, n + k)), np.empty(n + k), np.zeros((rows, n + k))
+    lower, upper = np.empty(n + k + rows), np.empty(n + k + rows)
+    mean = 0.0
+    for i in range(n):
+        mean += H[i, i] / n
+    for i in range(n):
+        for j in range(n):
+            whole[i, j] = H[i, j]
+        whole[i, i] += ridge * mean
+        linear[i], lower[i], upper[i] = f[i], low[i // nu, i % nu], high[i // nu, i % nu]
+    for j in range(k):
+        whole[n + j, n + j], linear[n + j], lower[n + j], upper[n + j] = prices[1, j], prices[0, j], 0.0, np.inf
+    for i in range(moves):
+        A[i, i], A[i, i + nu] = -1.0, 1.0
+        lower[n + k + i], upper[n + k + i] = -way[i % nu], way[i % nu]
+    for j in range(k):
+        for i in range(N):
+            row, source = moves + 2 * j * N + i, i * ny + soft[j]
+            for m in range((i + 1) * nu):
+                A[row, m] = A[row + N, m] = Y[source, m]
+            A[row, n + j], A[row + N, n + j] = -1.0, 1.0
+            lower[n + k + row], upper[n + k + row] = -np.inf, y_high[soft[j]] - free[source]
+            lower[n + k + row + N], upper[n + k + row + N] = y_low[soft[j]] - free[source], np.inf
+    return whole, linear, A, lower, upper
+
+
+@njit(f"b1({_MATRIX}, {_VECTOR}, {_VECTOR}, {_VECTOR}, f8)", cache=True, nogil=True, error_model="numpy")
+def kept(A, x, lower, upper, slack):
+    """Whether x is finite and within its limits, those of the variables first, then of A x; slack: relative to 1 + |value|."""
+    bounds = len(lower) - len(A)
+    for i in range(len(lower)):
+        value = x[i] if i < bounds else 0.0
+        if i >= bounds:
+            for j in range(len(x)):
+                value += A[i - bounds, j] * x[j]
+        room = slack * (1.0 + abs(value))
+        if not (value <= upper[i] + room and value >= lower[i] - room):
+            return False
+    return True

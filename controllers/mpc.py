@@ -242,37 +242,22 @@ class MPC:
 
     def _program(self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray) -> Program:
         """The quadratic program in the commands and the slacks of the outputs."""
-        from controllers.condensing import condense  # compiled when first needed
+        from controllers.condensing import condense, with_limits  # compiled when first needed
 
-        nx, nu, ny, N = model.nx, len(last), r.shape[1], self.horizon
+        nx, nu, ny, N = model.nx, model.nu, model.ny, self.horizon
         xt, ut, yt = self._target(last, model, z, r[-1])
         d_in, d_out = model.disturbances(z)
-        c = model.pushed(d_in - model.u0[:N])
+        pushed, bias, x = model.pushed(d_in - model.u0[:N]), model.y0 + d_out, z[:nx].copy()
         H, f, Y, free = condense(
-            model.M, nx, nu, ny, c, model.y0 + d_out, np.ascontiguousarray(z[:nx]), r + (yt - r[-1]), last, xt, ut,
+            model.M, nx, nu, ny, pushed, bias, x, r + (yt - r[-1]), np.array(last), xt, ut,
             self._Q, self._S, self._R, self._terminal_cost(model.path[-1]),
         )  # fmt: skip
-        soft, prices, A = self._rows
-        n, k = N * nu, len(soft)
         low, high = self._reach(last)
-        limit = self.rate * self.dt
-        total = np.zeros((n + k, n + k))
-        total[:n, :n] = H
-        total[range(n), range(n)] += TINY * np.trace(H) / n
-        total[range(n, n + k), range(n, n + k)] = prices[1]
-        A = A.copy()
-        moves = (N - 1) * nu
-        near, far = [low.ravel(), np.zeros(k), -np.tile(limit, N - 1)], [high.ravel(), np.full(k, np.inf), np.tile(limit, N - 1)]
-        for j, output in enumerate(soft):
-            at = moves + 2 * j * N
-            A[at : at + N, :n] = A[at + N : at + 2 * N, :n] = Y[output::ny]
-            near += [np.full(N, -np.inf), self.y_low[output] - free[output::ny]]
-            far += [self.y_high[output] - free[output::ny], np.full(N, np.inf)]
-        return Program(total, np.concatenate([f, prices[0]]), A, np.concatenate(near), np.concatenate(far))
+        return Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
 
     def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest commands (N, nu): the limits, or where the rate lets one come from outside of them."""
-        way = self.rate * self.dt * np.arange(1, self.horizon + 1)[:, None]
+        way = self._ways
         low, high = np.minimum(self.low, last + way), np.maximum(self.high, last - way)
         low[0], high[0] = np.maximum(low[0], last - way[0]), np.minimum(high[0], last + way[0])
         return low, high
@@ -281,20 +266,19 @@ class MPC:
         self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Steady state, command and outputs nearest to the set-point that the limits allow."""
-        A, B, C = model.matrices(-1)
+        from controllers.condensing import steady
+
         d_in, d_out = model.disturbances(z)
-        moved = np.linalg.solve(np.eye(len(A)) - A, B)
-        G = C @ moved
-        offset = G @ (d_in - model.u0[-1]) + model.y0[-1] + d_out
-        r = np.clip(r, self.y_low, self.y_high)
-        H = G.T @ self._Q @ G + self._R
-        H += TINY * np.trace(H) / len(H) * np.eye(len(H))
-        f = G.T @ self._Q @ (offset - r) - self._R @ last
+        x0, X, y0, G = steady(model.M[-1], model.nx, model.nu, model.ny, d_in - model.u0[-1], model.y0[-1] + d_out)
+        r = np.minimum(np.maximum(r, self.y_low), self.y_high)
+        GQ = G.T @ self._Q
+        H, f = GQ @ G + self._R, GQ @ (y0 - r) - self._R @ last
+        H.flat[:: len(H) + 1] += TINY * np.trace(H) / len(H)
         u = np.linalg.solve(H, -f)
         if np.any(u < self.low) or np.any(u > self.high):
             bounded = solved_by_daqp(Program(H, f, np.empty((0, len(u))), np.array(self.low), np.array(self.high)))
-            u = np.clip(u, self.low, self.high) if bounded is None else bounded
-        return moved @ (u + d_in - model.u0[-1]), u, G @ u + offset
+            u = np.minimum(np.maximum(u if bounded is None else bounded, self.low), self.high)
+        return X @ u + x0, u, G @ u + y0
 
     # ---- found once -------------------------------------------------------------------------------------------------------
 
@@ -311,18 +295,22 @@ class MPC:
         return np.diag(self.weights.inputs)
 
     @cached_property
-    def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Outputs with limits, their prices (linear, squared), and the rows of A that never change."""
+    def _way(self) -> np.ndarray:
+        """Largest move in a sample, (nu,)."""
+        return self.rate * self.dt
+
+    @cached_property
+    def _ways(self) -> np.ndarray:
+        """Largest moves by the samples of the horizon, (N, nu)."""
+        return self._way * np.arange(1, self.horizon + 1)[:, None]
+
+    @cached_property
+    def _soft(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Limits of the outputs, which of them have any, and their prices (linear, squared)."""
         soft = np.nonzero(np.isfinite(self.y_low) | np.isfinite(self.y_high))[0]
         cost = np.where(self.weights.outputs > 0.0, self.weights.outputs, 1.0)[soft]
-        N, nu, k = self.horizon, len(self.actuated), len(soft)
-        A = np.zeros(((N - 1) * nu + 2 * k * N, N * nu + k))
-        row = np.arange((N - 1) * nu)
-        A[row, row + nu], A[row, row] = 1.0, -1.0
-        for j in range(k):
-            at = (N - 1) * nu + 2 * j * N
-            A[at : at + N, N * nu + j], A[at + N : at + 2 * N, N * nu + j] = -1.0, 1.0
-        return soft, self.weights.violation * np.stack([np.sqrt(cost), cost]), A
+        prices = self.weights.violation * np.stack([np.sqrt(cost), cost])
+        return self.y_low.copy(), self.y_high.copy(), soft, prices
 
     @cached_property
     def _flat(self) -> np.ndarray:
@@ -422,8 +410,8 @@ def solved_by_daqp(program: Program) -> np.ndarray | None:
     """The answer of DAQP where it says optimal and the limits confirm it, else None."""
     import daqp
 
-    rows, upper, lower = np.ascontiguousarray(program.A), np.minimum(program.upper, 1e30), np.maximum(program.lower, -1e30)
-    x, _, flag, _ = daqp.solve(program.H, program.f, rows, upper, lower)
+    upper, lower = np.minimum(program.upper, 1e30), np.maximum(program.lower, -1e30)
+    x, _, flag, _ = daqp.solve(program.H, program.f, program.A, upper, lower)
     return _believed(program, np.asarray(x)) if flag == 1 else None
 
 
@@ -451,12 +439,9 @@ def solved_by_clarabel(program: Program) -> np.ndarray | None:
 
 def _believed(program: Program, x: np.ndarray) -> np.ndarray | None:
     """x where it is finite and keeps the limits, to a millionth of their size."""
-    if not np.isfinite(x).all():
-        return None
-    bounds = len(program.lower) - len(program.A)
-    value = np.concatenate([x[:bounds], program.A @ x])
-    slack = 1e-6 * (1.0 + np.abs(value))
-    return x if np.all(value <= program.upper + slack) and np.all(value >= program.lower - slack) else None
+    from controllers.condensing import kept
+
+    return x if kept(program.A, x, program.lower, program.upper, 1e-6) else None
 
 
 def default_weights(model: LPVModel, move: float = 1.0) -> Weights:
