@@ -75,7 +75,8 @@ def _design_mpc(options: Namespace, model: LPVModel, say: Say, progress: Say) ->
         if np.isfinite(a) or np.isfinite(b):
             say(f"  {channel.name} is kept from {a:g} to {b:g} {channel.unit} where that can be done")
     for channel, a, b, c in zip(model.inputs, law.low, law.high, law.rate, strict=True):
-        say(f"  {channel.name} from {a:g} to {b:g} {channel.unit}, at most {c:g} {channel.unit}/s: always")
+        rate = f", at most {c:g} {channel.unit}/s" if np.isfinite(c) else ""
+        say(f"  {channel.name} from {a:g} to {b:g} {channel.unit}{rate}: always")
     say(f"controller -> {path}")
     files = [options.model, *([options.fallback] if options.fallback else [])]
     return _finished(options, folder, path, {"kind": "mpc", "weights": vars(law.weights)}, files, say)
