@@ -30,6 +30,6 @@ def test_noise_loops_and_duration_of_the_winding_machine():
     assert set(plant.disturbance.values()) == {noise.pop("voltage_disturbance")}
     assert dict(plant.noise) == noise
     pid = table["pid"]
-    assert loops.kp.tolist() == [pid["kp_w"], -pid["kp_t"]]
-    assert loops.ki.tolist() == [pid["ki_w"], -pid["ki_t"]]
+    assert loops.Kp.tolist() == [[[pid["kp_w"], 0.0], [0.0, -pid["kp_t"]]]]
+    assert loops.Ki.tolist() == [[[pid["ki_w"], 0.0], [0.0, -pid["ki_t"]]]]
     assert SAMPLES * plant.dt == table["duration"]

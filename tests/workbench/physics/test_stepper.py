@@ -99,7 +99,7 @@ def test_switching_effects_on_compiles_nothing(monkeypatch):
     simulate(WEB_WINDING, LOOPS, steps(5))
     monkeypatch.setattr(kernel, "write_text", lambda *_: pytest.fail("a kernel was written"))
     simulate(WEB_WINDING, LOOPS, steps(5), effects={"coulomb@unwind": {"level": 0.001}, "input-delay@V1": {"time": 0.013}})
-    simulate(WEB_WINDING, replace(LOOPS, kp=2 * LOOPS.kp), steps(5))
+    simulate(WEB_WINDING, replace(LOOPS, Kp=2 * LOOPS.Kp), steps(5))
 
 
 def test_a_neutral_run_beside_affected_ones_is_the_neutral_run():
@@ -245,7 +245,7 @@ def test_bad_requests_are_refused_by_name():
     with pytest.raises(InputError, match="no set-point 'theta_set'"):
         simulate(WEB_WINDING, LOOPS, Scenario("half", {"w3_set": np.full(5, 100.0)}))
     with pytest.raises(InputError, match=r"channel T1: .* N at t = .* s, outside \[-5, 50\] N"):
-        simulate(WEB_WINDING, replace(LOOPS, kp=300 * LOOPS.kp), steps(2000))
+        simulate(WEB_WINDING, replace(LOOPS, Kp=300 * LOOPS.Kp), steps(2000))
 
 
 def test_plans_of_every_machine_run():
