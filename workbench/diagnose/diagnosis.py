@@ -16,6 +16,7 @@ from workbench.diagnose.answer import (
     Estimate,
     Evidence,
     Finding,
+    Gain,
     Limit,
     NextExperiment,
     Remainder,
@@ -24,7 +25,7 @@ from workbench.diagnose.answer import (
 from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
-from workbench.diagnose.gains import ahead, errors_on, gained
+from workbench.diagnose.gains import Held, ahead, errors_on, gained
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
@@ -39,7 +40,7 @@ from workbench.records import record
 ALPHA = SIGNIFICANT  # family-wise, of the screen and of the remainder where nothing is named
 LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
-TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws are idealised
+TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws of friction are idealised
 KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
@@ -108,10 +109,11 @@ def diagnose(
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
             )
-    base, model, steps, tested = found.base, found.model, found.steps, found.tested
     progress("gains on held-out records")
-    errors = {id(m): errors_on(m, held_out or dataset) for s in steps for m in (s.before, s.after)}
-    causes = tuple(_cause(plant, s, model, gained(errors[id(s.before)], errors[id(s.after)])) for s in steps)
+    errors = _Errors(held_out or dataset)
+    found = _confirmed(found, errors) if held_out else found
+    base, model, steps, tested = found.base, found.model, found.steps, found.tested
+    causes = tuple(_cause(plant, s, model, errors.gains(s)) for s in steps)
     rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     return Diagnosis(
@@ -127,7 +129,7 @@ def diagnose(
         parameters={q.name: float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
         tested=tuple(s.variant.key for s in tested),
         similarity=similarity(tested),
-        notes=(*notes, *([str(found.local)] if found.local else []), *_beyond(model)),
+        notes=(*notes, *([str(found.local)] if found.local else []), *map(_refused, found.refused), *_beyond(model)),
         seconds=time.perf_counter() - began,
     )
 
@@ -147,13 +149,18 @@ class Local:
 
 @record
 class _Found:
-    """What a search found: the base model, the steps from it, what is left, and the signatures of all effects at the base."""
+    """What a search found: the base model, the steps from it, what is left, and the signatures of all effects at the base.
+
+    refused: effects that held on the records of the search, but not on held-out ones.
+    """
 
     base: Model
     steps: tuple[Step, ...]
     left: tuple[Left, ...]
     tested: tuple[Signature, ...]
+    lesser: "_Lesser"
     local: Local | None = None
+    refused: tuple[str, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -162,7 +169,7 @@ class _Found:
     @property
     def finding(self) -> Finding:
         found = _finding(self.steps, self.left, self.model)
-        if self.local:  # all is not well, whatever the remainder is like
+        if self.local or self.refused:  # all is not well, whatever the remainder is like
             return {Finding.NOTHING: Finding.UNKNOWN, Finding.NAMED: Finding.INCOMPLETE}.get(found, found)
         return found
 
@@ -175,14 +182,13 @@ def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progres
     # a likelihood without coloured torques calls everything significant: there only what a second ahead shows counts
     most = np.inf if drift else 1.0 - HELPFUL
     search = _Search([slot.key for slot in base.predictor.plant.slots], np.zeros(len(plant.slots)), most, progress)
-    steps = search.path(base)
+    steps, lesser = search.path(base), _Lesser(search.sizes)
     if len(steps) > 1:
         progress("dropping and swapping")
-        lesser = _Lesser(search.sizes)
         steps = _pruned(base, _swapped(steps, lesser, most), lesser)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
-    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), search.local)
+    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), lesser, search.local)
 
 
 class _Search:
@@ -286,9 +292,12 @@ def _step(
 
 
 def _reach(plant: Plant, key: str, rival: str, gain: float) -> float:
-    """BIC within which a rival ties with a cause of this gain."""
+    """BIC within which a rival ties with a cause of this gain; between two forms of one friction a share of the gain."""
+    one, other = (next(slot for slot in plant.slots if slot.key == k) for k in (key, rival))
+    forms = one.place == other.place and {one.effect.domain, other.effect.domain} <= {Domain.SPEED, Domain.LOAD}
     # between a law and a special case of it there is no question of form
-    return TIE if _included(plant, key, rival) or _included(plant, rival, key) else max(TIE, IDEAL * gain)
+    exact = not forms or _included(plant, key, rival) or _included(plant, rival, key)
+    return TIE if exact else max(TIE, IDEAL * gain)
 
 
 def _rivals(before: Model, named: Model, key: str, tried: Sequence[tuple[Model, Score]]) -> list[tuple[Model, Score]]:
@@ -389,6 +398,47 @@ class _Lesser:
         less = settled(without(model, key, self.sizes), self.sizes)
         self.made.append((model, key, less))
         return less
+
+
+class _Errors:
+    """Models on held-out records, each computed once."""
+
+    def __init__(self, dataset: Dataset):
+        self.dataset, self.known = dataset, []
+
+    def of(self, model: Model) -> Held:
+        for other, held in self.known:
+            if other is model:
+                return held
+        self.known.append((model, errors_on(model, self.dataset)))
+        return self.known[-1][1]
+
+    def gains(self, step: Step) -> tuple[Gain, ...]:
+        """What a cause gains beside all others."""
+        return gained(self.of(step.before), self.of(step.after))
+
+    def surprise(self, step: Step) -> float:
+        """How much less likely the held-out records are with the cause than without it, in -2 log likelihood."""
+        return self.of(step.after).deviance - self.of(step.before).deviance
+
+
+def _confirmed(found: _Found, errors: _Errors) -> _Found:
+    """Without causes that make held-out records no more likely, the least helpful first: whatever they stand for on the
+    records of the search, it is not this effect.
+    """
+    steps, refused = list(found.steps), []
+    while steps and errors.surprise(worst := max(steps, key=errors.surprise)) >= 0.0:
+        refused.append(worst.key)
+        rest = [replace(s, after=worst.before) for s in steps if s is not worst]
+        steps = _pruned(found.base, rest, found.lesser) if rest else []
+    if not refused:
+        return found
+    left = remainder(steps[-1].after if steps else found.base)
+    return replace(found, steps=tuple(steps), left=tuple(left), refused=tuple(refused))
+
+
+def _refused(key: str) -> str:
+    return f"{key} would explain these records, but predicts the held-out ones no better: something else is behind it"
 
 
 def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:

@@ -3,7 +3,6 @@
 Parameters and effects stay as they were found; where a record starts, and at which angle its periodic effects, is found on it.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -147,10 +146,18 @@ def _ahead(made: Predictor, point: Point, i: int, steps: int) -> np.ndarray:
     return e
 
 
-def errors_on(model: Model, dataset: Dataset) -> tuple[Score, ...]:
-    """Root mean square errors of a model on the records of `dataset`, by record, horizon and measured channel."""
+@record
+class Held:
+    """A model on records of others: root mean square errors by record, horizon and channel, and -2 log likelihood."""
+
+    scores: tuple[Score, ...]
+    deviance: float
+
+
+def errors_on(model: Model, dataset: Dataset) -> Held:
+    """The model's errors on the records of `dataset`, and how likely they are in its light; starts do not count."""
     made, point = on(model, dataset)
-    found = []
+    found, deviance = [], 0.0
     for i, r in enumerate(made.records):
         measured = np.asarray(np.isfinite(r.y).any(axis=0))
         for horizon in HORIZONS:
@@ -158,12 +165,16 @@ def errors_on(model: Model, dataset: Dataset) -> tuple[Score, ...]:
             rms = np.sqrt(np.nanmean(e**2, axis=0)) if np.isfinite(e).any() else np.full(e.shape[1], np.nan)
             channels = [made.plant.outputs[j] for j in np.flatnonzero(measured)]
             found += [Score(r.name, horizon, c.name, c.unit, float(v)) for c, v in zip(channels, rms, strict=True)]
-    return tuple(found)
+        white = made.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0]
+        levels = np.log(np.einsum("kii->ki", made.passes[i].whitening)).sum(axis=1)
+        deviance += float((white[SETTLING:] ** 2).sum() - 2.0 * levels[SETTLING:].sum())
+    return Held(tuple(found), deviance)
 
 
-def gained(before: Sequence[Score], after: Sequence[Score]) -> tuple[Gain, ...]:
+def gained(before: Held, after: Held) -> tuple[Gain, ...]:
     """Errors of two models beside each other."""
-    return tuple(Gain(b.channel, b.horizon, b.error, a.error, b.unit, b.record) for b, a in zip(before, after, strict=True))
+    pairs = zip(before.scores, after.scores, strict=True)
+    return tuple(Gain(b.channel, b.horizon, b.error, a.error, b.unit, b.record) for b, a in pairs)
 
 
 def ahead(before: Model, after: Model) -> float:

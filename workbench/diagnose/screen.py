@@ -18,7 +18,7 @@ from scipy.stats import gamma, gumbel_r
 from workbench.diagnose.fit import Fit, _inverse
 from workbench.diagnose.predictor import Predictor
 from workbench.diagnose.scan import Scan, scan_frequencies, scan_orders
-from workbench.physics.effects.effect import GridUnit
+from workbench.physics.effects.effect import EffectParameter, GridUnit
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
@@ -118,17 +118,13 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
         for i in shapes:
             q = plant.slots[i].parameter
             unit = length if q.grid_unit is GridUnit.RECORD else plant.dt if q.grid_unit is GridUnit.SAMPLE else 1.0
-            # some values of a grid: a refit finds what lies between
-            values = (
-                [
-                    q.grid[j]
-                    for j in sorted(
-                        {round(x) for x in np.linspace(0, len(q.grid) - 1, (FINE if q.unit == "s" else COARSE) + 2)[1:-1]}
-                    )
-                ]
-                if q.grid
-                else []
-            )
+            if q.grid_unit is GridUnit.CYCLES:
+                values = _periods(q, length)
+            elif q.grid:  # some values of a grid: a refit finds what lies between
+                inner = np.linspace(0, len(q.grid) - 1, (FINE if q.unit == "s" else COARSE) + 2)[1:-1]
+                values = [q.grid[k] for k in sorted({round(x) for x in inner})]
+            else:
+                values = []
             grids.append([(i, min(max(v * unit, q.low), q.high)) for v in values] or [(i, q.default)])
         finite = [g * _unit(plant, predictor, effect.grid_unit, plant.slots[own[0]].place) for g in effect.grid] or [np.nan]
         if effect.grid:  # of an irregular effect the sizes are tried, a refit finds the shapes
@@ -146,8 +142,14 @@ def dated_variants(predictor: Predictor, v: Variant) -> list[Variant]:
         q = plant.slots[i].parameter
         if q.grid_unit is GridUnit.RECORD or (q.unit == "s" and q.grid and not v.phase):
             unit = length if q.grid_unit is GridUnit.RECORD else 1.0
-            return [replace(v, shapes=tuple((j, g * unit if j == i else value) for j, value in v.shapes)) for g in q.grid]
+            grid = _periods(q, length) if q.grid_unit is GridUnit.CYCLES else q.grid
+            return [replace(v, shapes=tuple((j, g * unit if j == i else value) for j, value in v.shapes)) for g in grid]
     return []
+
+
+def _periods(q: EffectParameter, length: float) -> list[float]:
+    """Periods from the longest to the shortest of a grid, half a cycle over the record apart: a refit finds what lies between."""
+    return [1.0 / f for f in np.arange(1.0 / q.grid[-1], 1.0 / q.grid[0] * (1.0 + 1e-9), 0.5 / length)]
 
 
 def _periodic(predictor: Predictor, fit: Fit, shape: int) -> Scan | None:

@@ -140,6 +140,44 @@ def test_a_mass_that_swings_is_named_whatever_its_period(seed, period):
     check(diagnose(ROBOT, robot_records(seed, effects), robot_records(seed + 1, effects)), "platform-mass@rail", "period", period)
 
 
+@pytest.mark.parametrize("period", [5.7, 7.34, 14.3])
+def test_a_small_swing_is_named_though_its_period_is_no_round_number(period):
+    """Half a minute tells periods apart that are nearer to each other than those of a coarse list."""
+    effects = {"platform-mass@rail": {"swing": 0.03, "period": period}}
+    records = robot_records(3, effects, samples=1800), robot_records(4, effects, samples=1800)
+    (cause,) = diagnose(ROBOT, *records).causes
+    assert cause.key == "platform-mass@rail"
+    assert cause.parameters["period"].value == pytest.approx(period, rel=0.03)
+
+
+def test_a_cause_that_held_out_records_do_not_confirm_is_not_named():
+    """The machine was mended before the held-out records: whatever the others show, it is not there."""
+    friction = {"coulomb@slide": {"level": 60.0}}
+    found = diagnose(AXIS, axis_records(3, friction), axis_records(4))
+    assert found.finding is Finding.UNKNOWN
+    assert not found.causes
+    assert any(note.startswith("coulomb@slide would explain these records") for note in found.notes)
+    assert not found.effects
+    lag = {"sensor-lag@q": {"time": 0.03}}
+    half = diagnose(AXIS, axis_records(3, friction | lag), axis_records(4, lag))
+    assert half.finding is Finding.INCOMPLETE
+    (cause,) = half.causes
+    assert "sensor-lag@q" in {cause.key, *cause.ties}
+    assert (
+        diagnose(AXIS, axis_records(3, friction)).finding is Finding.NAMED
+    )  # without held-out records nothing speaks against it
+
+
+def test_a_share_of_the_gain_is_a_tie_between_forms_of_one_friction_only():
+    """Laws of friction are idealised; a lag is a lag, and more data must be able to tell it from another."""
+    tie = diagnosis._reach
+    assert tie(ROBOT, "stribeck@rail", "quadratic-friction@rail", 1000.0) == 100.0
+    assert tie(ROBOT, "stribeck@rail", "quadratic-friction@rail", 50.0) == diagnosis.TIE
+    assert tie(ROBOT, "sensor-lag@v", "sensor-resonance@v", 1000.0) == diagnosis.TIE
+    assert tie(ROBOT, "coulomb@rail", "saturation@u", 1000.0) == diagnosis.TIE
+    assert tie(ROBOT, "coulomb@rail", "asymmetric-friction@rail", 1000.0) == diagnosis.TIE  # the one is a case of the other
+
+
 def test_a_periodic_effect_is_named_with_its_amplitude_and_order():
     each = [{"torque-ripple@slide": {"cosine": 10.0 * np.cos(a), "sine": 10.0 * np.sin(a), "order": 5.0}} for a in (0.0, 2.0)]
     (cause,) = diagnose(AXIS, axis_records(3, each, force=25.0)).causes

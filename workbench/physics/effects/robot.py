@@ -10,7 +10,7 @@ with it and pushes nothing.
 
 import numpy as np
 
-from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Named, Port
 from workbench.records import record
 
 
@@ -51,8 +51,6 @@ RAIL_TILT = Effect(
     _rail_tilt,
     Domain.SPEED,
 )
-# a swing of another period explains nothing of it: the grid is fine
-PERIODS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5, 16.0, 20.0)  # s
 PLATFORM_MASS = Effect(
     "platform-mass",
     "robot",
@@ -60,7 +58,7 @@ PLATFORM_MASS = Effect(
         # the lowest change and the widest swing together leave 5 % of the platform: its mass never reaches 0
         EffectParameter("change", "1", low=-0.5),
         EffectParameter("swing", "1", low=-0.45, high=0.45),
-        EffectParameter("period", "s", low=0.1, default=10.0, shape=True, grid=PERIODS),
+        EffectParameter("period", "s", low=0.1, default=10.0, shape=True, grid=(1.0, 20.0), grid_unit=GridUnit.CYCLES),
     ),
     "The platform on {place} is heavier or lighter than thought, or becomes so while it runs: electrode systems come and go.",
     "Runs with and without load, compared: a constant change alone looks like a wrong mass in the data sheet.",
