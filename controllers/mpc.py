@@ -126,6 +126,11 @@ class MPC:
                 f"the fallback law goes from {', '.join(self.fallback.measured)} to {', '.join(self.fallback.actuated)}",
                 file=self.name, mend=f"design it on the same model: {', '.join(self.measured)} to {', '.join(self.actuated)}",
             )  # fmt: skip
+        if self.fallback.schedule not in (None, self.schedule):
+            raise InputError(
+                f"the fallback law is scheduled on {self.fallback.schedule}, the model on {self.schedule or 'nothing'}",
+                file=self.name, mend="design it on the same model",
+            )  # fmt: skip
         _ = self._terminal  # an uncontrollable model is refused here, not at the first sample
 
     # ---- what a loop needs to know ----------------------------------------------------------------------------------------

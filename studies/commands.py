@@ -74,13 +74,13 @@ def simulate(options: Namespace) -> int:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}--inputs-from RECORD")
-    folder = run_folder(options.out, "simulate")
-    if chosen and machine not in EXPERIMENTS:
-        raise InputError(f"plant {plant.name!r} has no experiment plan", mend="give --inputs-from RECORD")
-
     own_law = load_controller(options.controller) if options.controller else None
     if own_law and options.inputs_from:
         raise InputError("--controller and --inputs-from exclude each other", mend="a replay has no loop to close")
+    if chosen and machine not in EXPERIMENTS:
+        raise InputError(f"plant {plant.name!r} has no experiment plan", mend="give --inputs-from RECORD")
+    folder = run_folder(options.out, "simulate")
+
     summary: list[dict[str, Any]] = []
     jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
     for kind, name in jobs:

@@ -322,3 +322,6 @@ def test_bad_designs_are_refused():
     swapped = pid(("b", "a"), NAMES[1], NAMES[2], DT, [0.1, 0.1], [0.1, 0.1])
     with pytest.raises(InputError, match="the fallback law goes from c, d to b, a"):
         design_mpc(lpv(), swapped)
+    elsewhere = replace(law().fallback, schedule="arm", span=(0.0, 1.0))
+    with pytest.raises(InputError, match="the fallback law is scheduled on arm, the model on r2"):
+        design_mpc(lpv(), elsewhere)
