@@ -449,7 +449,7 @@ def _believed(program: Program, x: np.ndarray) -> np.ndarray | None:
     return x if kept(program.A, x, program.lower, program.upper, 1e-6) else None
 
 
-def default_weights(model: LPVModel, move: float = 1.0) -> Weights:
+def default_weights(model: LPVModel, move: float = 0.1) -> Weights:
     """An output counts in units of what unit inputs move it in the middle of the schedule; move: price of a unit move."""
     A, B, C, D = model.freeze(float(np.mean(model.span)) if model.schedule else None)
     scale = np.linalg.norm(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D, axis=1)

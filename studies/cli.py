@@ -155,7 +155,7 @@ def parser() -> argparse.ArgumentParser:
         "--setpoint-weight", type=float, default=1.0, metavar="B", help="share of the set-point in the proportional part"
     )
     sub.add_argument("--horizon", type=int, default=20, metavar="N", help="mpc: samples that it looks ahead (default 20)")
-    sub.add_argument("--move", type=float, default=1.0, metavar="W", help="mpc: price of moving a command (default 1)")
+    sub.add_argument("--move", type=float, default=0.1, metavar="W", help="mpc: price of moving a command (default 0.1)")
     sub.add_argument("--keep", action="append", default=[], metavar="Y=A:B,..", help="mpc: outputs to keep between A and B")
     sub.add_argument("--fallback", metavar="FILE", help="mpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
