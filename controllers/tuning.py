@@ -1,4 +1,4 @@
-"""PID gains under bounds on robustness, as a sequence of convex programs; and the classic rules as starting points.
+"""PID gains under bounds on robustness, as a sequence of convex programs.
 
     maximise t   such that   sigma_min(P_i(0) Ki(rho_i)) >= t t_i                                  low-frequency action
                              |S| <= Ms,  |S| at the loop broken where it is asked for: S = (I + L)^-1
@@ -13,6 +13,9 @@ Each bound |Y Z^-1| <= 1 with Z = I + L is Z* Z >= Y* Y, and for every matrix V
 which is a linear matrix inequality in the gains, and tight for V = Z of the last gains [2]. Where Y = I / Ms is constant,
 V = U / Ms with the unitary factor U of Z leaves more room: (Z* U + U* Z) / 2 >= I / Ms; for one loop this is the half plane of
 [1]. Gains that keep the bounds stay allowed in the next program, so t never falls. The answer is a local optimum.
+
+Z stays in the half space of its last value at every frequency, also where no bound is near: on the straight way between two gains
+no Z is singular then, and the loop stays as stable as the first one, integral action alone, was.
 
 [1] Hast, Astrom, Bernhardsson, Boyd, "PID design by convex-concave optimization", European Control Conference 2013.
 [2] Boyd, Hast, Astrom, "MIMO PID tuning via iterated LMI restriction", Int. J. Robust Nonlinear Control 26 (2016) 1718-1731.
