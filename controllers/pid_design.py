@@ -81,7 +81,8 @@ class Margins:
 class PIDDesign:
     """A scheduled PID, its margins on the refined grid, and what each knot alone would reach.
 
-    low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the same of the law for that knot only.
+    low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the same of the law for that knot only. scale (ny): what
+    the outputs were counted in.
     """
 
     law: ScheduledPID
@@ -90,6 +91,7 @@ class PIDDesign:
     knots: np.ndarray = field("n")
     low_frequency: np.ndarray = field("n")
     alone: np.ndarray = field("n")
+    scale: np.ndarray = field("ny")
 
 
 @record
@@ -148,7 +150,7 @@ def design_pid(
         if not bad.any():
             reached = plan.low_frequency(law)
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
-            return PIDDesign(law, bounds, margins, grid, reached, alone)
+            return PIDDesign(law, bounds, margins, grid, reached, alone, plan.scale)
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
         worst = plan.worst(margins, rhos)
         rhos = np.unique(np.concatenate([rhos, checked[worst]]))

@@ -40,7 +40,7 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     write_gain_table(found.law, folder / "gains.csv", _channels(model))
     over = found.margins
     if kind == "pid" and model.schedule is not None:
-        over = margins_of(found.law, model, list(np.linspace(model.span[0], model.span[1], 25)), bounds)
+        over = margins_of(found.law, model, list(np.linspace(model.span[0], model.span[1], 25)), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
     say(f"controller -> {path}")

@@ -9,6 +9,7 @@ import pytest
 
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
+from controllers.pid_design import design_pid
 from controllers.scheduled_pid import BackCalculation, Clamping
 from plants import WEB_WINDING
 from studies.cli import main
@@ -98,6 +99,10 @@ def test_a_fixed_law_says_where_it_breaks_its_bounds(folder, capsys):
     said = capsys.readouterr().out
     assert "the fixed law breaks its bounds at" in said
     assert "workbench design scheduled-pid keeps them" in said
+    # where it was made it keeps them, the effort too, which counts outputs in the design's own units
+    found = design_pid(turning_model(), knots=1)
+    over = json.loads((folder / "fixed" / "design.json").read_text())["margins"]
+    assert over["effort"][12] == pytest.approx(found.margins.effort[0], rel=1e-3)
 
 
 def test_an_mpc_comes_back_as_it_went_and_closes_the_loop(tmp_path, capsys):
