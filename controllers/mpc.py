@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
-from controllers.observer import Observer, design_observer
-from controllers.scheduled_pid import ScheduledPID, finite, unlimited
+from controllers.observer import Observer, design_observer, interpolated
+from controllers.scheduled_pid import ScheduledPID, check_limits, finite, unlimited
 from workbench.errors import InputError
 from workbench.lpv import LPVModel, model_from_dict
 from workbench.records import field, record
@@ -118,9 +118,7 @@ class MPC:
             raise InputError(f"horizon {self.horizon}", file=self.name, mend="at least one sample; 10 to 40 are usual")
         model = self.model
         for channels, low, high in ((model.inputs, self.low, self.high), (model.outputs, self.y_low, self.y_high)):
-            for channel, a, b in zip(channels, low, high, strict=True):
-                if not a < b:
-                    raise InputError(f"lower limit {a:g} is not below the upper {b:g}", file=self.name, channel=channel.name)
+            check_limits(self.name, [c.name for c in channels], low, high)
         if (self.fallback.actuated, self.fallback.measured) != (self.actuated, self.measured):
             raise InputError(
                 f"the fallback law goes from {', '.join(self.fallback.measured)} to {', '.join(self.fallback.actuated)}",
@@ -195,7 +193,7 @@ class MPC:
         rho, slope = self._followed(state, rho)
         path = self._path(rho, slope)
         model = _Along(self, path)
-        z, e = self._corrected(state, model, rho, np.asarray(y, dtype=float))
+        z, push = self._corrected(state, model, rho, np.asarray(y, dtype=float))
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, len(self.measured)))
         wanted = np.where(np.isfinite(wanted), wanted, model.outputs(z))  # no set-point: stay where it is
         plan, status = self._planned(state, model, z, np.vstack([wanted, wanted[-1:]]))
@@ -211,7 +209,7 @@ class MPC:
             plan, status = np.empty((0, len(u))), Status.FALLBACK
         low, high = self._reach(state.u)
         u = np.clip(u, low[0], high[0])
-        return u, MPCState(model.moved(z, u, self.observer.gains(rho)[1] @ e), u, rho, slope, plan, age, status, law)
+        return u, MPCState(model.moved(z, u, push), u, rho, slope, plan, age, status, law)
 
     def _followed(self, state: MPCState, rho: float | None) -> tuple[float, float]:
         """The schedule value, and its slope a sample; the last ones where it was not measured."""
@@ -228,12 +226,13 @@ class MPC:
         return np.clip(rho + slope * np.arange(self.horizon + 1), *self.model.span)
 
     def _corrected(self, state: MPCState, model: "_Along", rho: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The observer's state after this sample's measurement, and its innovation."""
+        """The observer's state after this sample's measurement, and what that moves it by on its way to the next."""
         seen = bool(np.isfinite(y).all())
         if np.isnan(state.z).any():  # first sample: as if the machine had stood at this measurement under the last command
-            return model.at_rest(state.u, y if seen else model.y0[0]), np.zeros(len(y))
+            return model.at_rest(state.u, y if seen else model.y0[0]), np.zeros(len(state.z))
         e = y - model.outputs(state.z) if seen else np.zeros(len(y))
-        return state.z + self.observer.gains(rho)[0] @ e, e
+        L, J = self.observer.gains(rho)
+        return state.z + L @ e, J @ e
 
     def _planned(self, state: MPCState, model: "_Along", z: np.ndarray, r: np.ndarray) -> tuple[np.ndarray | None, Status]:
         """Commands (N, nu) of the program, or None."""
@@ -352,12 +351,7 @@ class MPC:
             ) from None  # fmt: skip
 
     def _terminal_cost(self, rho: float) -> np.ndarray:
-        grid, P = self._terminal
-        if len(grid) == 1:
-            return P[0]
-        i = int(np.clip(np.searchsorted(grid, rho) - 1, 0, len(grid) - 2))
-        t = (rho - grid[i]) / (grid[i + 1] - grid[i])
-        return P[i] + t * (P[i + 1] - P[i])
+        return interpolated(*self._terminal, rho)
 
     def _operating(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """u0 and y0 along a schedule."""

@@ -33,11 +33,16 @@ class Observer:
 
     def gains(self, rho: float) -> tuple[np.ndarray, np.ndarray]:
         """L and J at a schedule value, interpolated; the edge value outside."""
-        if len(self.rho) == 1:
-            return self.L[0], self.J[0]
-        i = int(np.clip(np.searchsorted(self.rho, rho) - 1, 0, len(self.rho) - 2))
-        t = min(max((rho - self.rho[i]) / (self.rho[i + 1] - self.rho[i]), 0.0), 1.0)
-        return self.L[i] + t * (self.L[i + 1] - self.L[i]), self.J[i] + t * (self.J[i + 1] - self.J[i])
+        return interpolated(self.rho, self.L, rho), interpolated(self.rho, self.J, rho)
+
+
+def interpolated(grid: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
+    """Values (g, ...) on a grid (g,), linearly between its points; the edge value outside."""
+    if len(grid) == 1:
+        return values[0]
+    i = int(np.clip(np.searchsorted(grid, at) - 1, 0, len(grid) - 2))
+    t = min(max((at - grid[i]) / (grid[i + 1] - grid[i]), 0.0), 1.0)
+    return values[i] + t * (values[i + 1] - values[i])
 
 
 def augmented(A: np.ndarray, B: np.ndarray, C: np.ndarray, at_inputs: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weig
 Shamma, "Research on gain scheduling", Automatica 36 (2000), section 5, on where the integral stands.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -88,9 +89,7 @@ class ScheduledPID:
                 raise InputError(f"{len(names)} {kind} names for gains of shape ({nu}, {ny})", file=self.name)
         if len(self.basis.names) != m:
             raise InputError(f"{m} coefficients for {len(self.basis.names)} basis functions", file=self.name)
-        for name, low, high in zip(self.actuated, self.low, self.high, strict=True):
-            if not low < high:
-                raise InputError(f"lower limit {low:g} is not below the upper {high:g}", file=self.name, channel=name)
+        check_limits(self.name, self.actuated, self.low, self.high)
         if self.schedule is None and m > 1:
             raise InputError("the gains move with a schedule that is not named", file=self.name, mend="give schedule=")
         if self.schedule is not None and not (np.isfinite(self.span).all() and self.span[0] < self.span[1]):
@@ -305,6 +304,13 @@ class _Memory(NamedTuple):
     u: list
     cold: Any
     takes_over: Any
+
+
+def check_limits(law: str, channels: Sequence[str], lows: np.ndarray, highs: np.ndarray) -> None:
+    """Refuse limits that leave a channel no room."""
+    for name, low, high in zip(channels, lows, highs, strict=True):
+        if not low < high:
+            raise InputError(f"lower limit {low:g} is not below the upper {high:g}", file=law, channel=name)
 
 
 def finite(values: np.ndarray) -> list[float | None]:

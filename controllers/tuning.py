@@ -295,7 +295,6 @@ class _Task:
             dY = dL if kind == 1 else dK
             yield _scaled(*_bordered(F, f, dY / limit[:, None]))
         U = _unitary(self._low(X))
-        low = np.zeros((len(self.P0), len(scale) + 1, *U.shape[1:]))
         integral = q == 1
         dKi = np.zeros((len(self.P0), len(scale) + 1, *self.shape[2:]))
         dKi[:, np.arange(len(scale))[integral], a[integral], b[integral]] = self.weights[:, j[integral]] * scale[integral]

@@ -74,8 +74,7 @@ def left_out(base: Model, extended: Model) -> LeftOut:
 
 def _deviances(model: Model, i: int) -> np.ndarray:
     """-2 log likelihood of every sample of record i."""
-    W = model.predictor.passes[i].whitening
-    return (model.fit.errors[i] ** 2).sum(axis=1) - 2.0 * np.log(np.einsum("kii->ki", W)).sum(axis=1)
+    return model.predictor.deviances(i, model.fit.errors[i])
 
 
 def _surprise(model: Model, fold: Fold) -> float:

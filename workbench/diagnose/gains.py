@@ -166,8 +166,7 @@ def errors_on(model: Model, dataset: Dataset) -> Held:
             channels = [made.plant.outputs[j] for j in np.flatnonzero(measured)]
             found += [Score(r.name, horizon, c.name, c.unit, float(v)) for c, v in zip(channels, rms, strict=True)]
         white = made.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0]
-        levels = np.log(np.einsum("kii->ki", made.passes[i].whitening)).sum(axis=1)
-        deviance += float((white[SETTLING:] ** 2).sum() - 2.0 * levels[SETTLING:].sum())
+        deviance += float(made.deviances(i, white)[SETTLING:].sum())
     return Held(tuple(found), deviance)
 
 

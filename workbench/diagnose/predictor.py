@@ -128,6 +128,10 @@ class Predictor:
         """Which outputs (ny) any record holds."""
         return np.any([np.isfinite(r.y).any(axis=0) for r in self.records], axis=0)
 
+    def deviances(self, i: int, white: np.ndarray) -> np.ndarray:
+        """-2 log likelihood (N,) of every sample of record i from its whitened errors (N, ny)."""
+        return (white**2).sum(axis=1) - 2.0 * np.log(np.einsum("kii->ki", self.passes[i].whitening)).sum(axis=1)
+
     def errors(
         self, i: int, p: np.ndarray, eta: np.ndarray, start: np.ndarray, *, white: bool = True, drift: bool = True
     ) -> np.ndarray:
