@@ -8,11 +8,9 @@ over x_{i+1} = A(rho_i) x_i + B(rho_i) (u_i - u0 + d) and y_i = C(rho_i) x_i + y
 cannot be reached. P is the cost of the linear-quadratic regulator from there on: without active limits the first move is that
 regulator's, whatever the horizon. Limits of the commands are hard, those of the outputs give way at a price.
 
-Every answer carries a status. Where the program has none, a second solver is asked; then the last plan goes on as long as it
-lasts; then a PID takes over. A command is never NaN and never outside its limits.
+What is done when no solver has an answer stands in `receding`.
 """
 
-from enum import Enum
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -20,23 +18,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from controllers.observer import Observer, design_observer, interpolated
-from controllers.scheduled_pid import ScheduledPID, check_limits, finite, unlimited
+from controllers.receding import TINY, UNPLANNED, Plan, Program, Receding, Status, Weights, solved_by_daqp
+from controllers.scheduled_pid import ScheduledPID, finite, unlimited
 from workbench.errors import InputError
 from workbench.lpv import LPVModel, model_from_dict
 from workbench.records import field, record
 
 KIND = "mpc"
 POINTS = 11  # schedule values at which terminal costs are found
-TINY = 1e-9  # relative weight that keeps a program strictly convex
-
-
-class Status(Enum):
-    """Where a command came from."""
-
-    OPTIMAL = "optimal"
-    SECOND_SOLVER = "second solver"
-    LAST_PLAN = "last plan"
-    FALLBACK = "fallback law"
 
 
 @record
@@ -54,47 +43,23 @@ class Extrapolated:
 Prediction = Held | Extrapolated
 
 
-@record
-class Weights:
-    """What counts how much; each (ny,) or (nu,): errors of the outputs, moves of the commands, distance from the target.
-
-    violation: price of a unit of an output beyond its limit, as a multiple of what the same error costs, linear and squared.
-    """
-
-    outputs: np.ndarray = field("ny", low=0.0)
-    moves: np.ndarray = field("nu", low=0.0)
-    inputs: np.ndarray = field("nu", low=0.0)
-    violation: float = field("", low=0.0, default=1e3)
-
-
 class MPCState(NamedTuple):
-    """Memory of the law: observer's state z, last command, last schedule and slope, last plan and its age, and how it came.
-
-    status None before the first sample. law: memory of the fallback law while it commands.
-    """
+    """Memory of the law: observer's state z, last command, last schedule and slope, and the plans."""
 
     z: np.ndarray
     u: np.ndarray
     rho: float
     slope: float
-    plan: np.ndarray
-    age: int
-    status: Status | None
-    law: np.ndarray | None
+    plan: Plan
 
-
-class Program(NamedTuple):
-    """min 1/2 z'Hz + f'z, low <= z[:k] <= high, A z within lower and upper; bounds first in `lower` and `upper`."""
-
-    H: np.ndarray
-    f: np.ndarray
-    A: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
+    @property
+    def status(self) -> Status | None:
+        """Where the last command came from; None before the first sample."""
+        return self.plan.status
 
 
 @record
-class MPC:
+class MPC(Receding):
     """The law; see the module. horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
 
     fallback: a PID on the same channels for when nothing else is left.
@@ -114,16 +79,7 @@ class MPC:
     name: str = "mpc"
 
     def __post_init__(self):
-        if self.horizon < 1:
-            raise InputError(f"horizon {self.horizon}", file=self.name, mend="at least one sample; 10 to 40 are usual")
-        model = self.model
-        for channels, low, high in ((model.inputs, self.low, self.high), (model.outputs, self.y_low, self.y_high)):
-            check_limits(self.name, [c.name for c in channels], low, high)
-        if (self.fallback.actuated, self.fallback.measured) != (self.actuated, self.measured):
-            raise InputError(
-                f"the fallback law goes from {', '.join(self.fallback.measured)} to {', '.join(self.fallback.actuated)}",
-                file=self.name, mend=f"design it on the same model: {', '.join(self.measured)} to {', '.join(self.actuated)}",
-            )  # fmt: skip
+        self.check(self.actuated, self.measured)
         if self.fallback.schedule not in (None, self.schedule):
             raise InputError(
                 f"the fallback law is scheduled on {self.fallback.schedule}, the model on {self.schedule or 'nothing'}",
@@ -157,7 +113,7 @@ class MPC:
         """Before the first sample; u: the command that it takes over from, else that of the model's operating point."""
         held = self._operating(np.array([np.mean(self.model.span)]))[0][0] if u is None else np.asarray(u, dtype=float)
         unknown = np.full(self.observer.L.shape[1], np.nan)  # found from the first measurement
-        return MPCState(unknown, held, np.nan, 0.0, np.empty((0, len(held))), 0, None, None)
+        return MPCState(unknown, held, np.nan, 0.0, UNPLANNED)
 
     # ---- files ------------------------------------------------------------------------------------------------------------
 
@@ -196,20 +152,9 @@ class MPC:
         z, push = self._corrected(state, model, rho, np.asarray(y, dtype=float))
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, len(self.measured)))
         wanted = np.where(np.isfinite(wanted), wanted, model.outputs(z))  # no set-point: stay where it is
-        plan, status = self._planned(state, model, z, np.vstack([wanted, wanted[-1:]]))
-        age, law = 0, None
-        if plan is None and state.age + 1 < len(state.plan):
-            plan, status, age = state.plan, Status.LAST_PLAN, state.age + 1
-        if plan is not None:
-            u = plan[age]
-        else:
-            law = self.fallback.init(state.u) if state.law is None else state.law
-            seen = np.where(np.isfinite(y), y, wanted[0])
-            u, law = self.fallback.step(law, wanted[0], seen, rho)
-            plan, status = np.empty((0, len(u))), Status.FALLBACK
-        low, high = self._reach(state.u)
-        u = np.clip(u, low[0], high[0])
-        return u, MPCState(model.moved(z, u, push), u, rho, slope, plan, age, status, law)
+        found, status = self._solved(self._program(state.u, model, z, np.vstack([wanted, wanted[-1:]])))
+        u, plan = self._acted(state.u, state.plan, found, status, wanted[0], np.asarray(y, dtype=float), rho)
+        return u, MPCState(model.moved(z, u, push), u, rho, slope, plan)
 
     def _followed(self, state: MPCState, rho: float | None) -> tuple[float, float]:
         """The schedule value, and its slope a sample; the last ones where it was not measured."""
@@ -234,16 +179,6 @@ class MPC:
         L, J = self.observer.gains(rho)
         return state.z + L @ e, J @ e
 
-    def _planned(self, state: MPCState, model: "_Along", z: np.ndarray, r: np.ndarray) -> tuple[np.ndarray | None, Status]:
-        """Commands (N, nu) of the program, or None."""
-        program = self._program(state.u, model, z, r)
-        for solver, status in ((solved_by_daqp, Status.OPTIMAL), (solved_by_clarabel, Status.SECOND_SOLVER)):
-            answer = solver(program)
-            if answer is not None:
-                nu = len(self.actuated)
-                return answer[: self.horizon * nu].reshape(-1, nu), status
-        return None, Status.FALLBACK
-
     def _program(self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray) -> Program:
         """The quadratic program in the commands and the slacks of the outputs."""
         from controllers.condensing import condense, with_limits  # compiled when first needed
@@ -258,13 +193,6 @@ class MPC:
         )  # fmt: skip
         low, high = self._reach(last)
         return Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
-
-    def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest commands (N, nu): the limits, or where the rate lets one come from outside of them."""
-        way = self._ways
-        low, high = np.minimum(self.low, last + way), np.maximum(self.high, last - way)
-        low[0], high[0] = np.maximum(low[0], last - way[0]), np.minimum(high[0], last + way[0])
-        return low, high
 
     def _target(
         self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray
@@ -287,34 +215,8 @@ class MPC:
     # ---- found once -------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _Q(self) -> np.ndarray:
-        return np.diag(self.weights.outputs)
-
-    @cached_property
-    def _S(self) -> np.ndarray:
-        return np.diag(self.weights.moves)
-
-    @cached_property
     def _R(self) -> np.ndarray:
         return np.diag(self.weights.inputs)
-
-    @cached_property
-    def _way(self) -> np.ndarray:
-        """Largest move in a sample, (nu,)."""
-        return self.rate * self.dt
-
-    @cached_property
-    def _ways(self) -> np.ndarray:
-        """Largest moves by the samples of the horizon, (N, nu)."""
-        return self._way * np.arange(1, self.horizon + 1)[:, None]
-
-    @cached_property
-    def _soft(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Limits of the outputs, which of them have any, and their prices (linear, squared)."""
-        soft = np.nonzero(np.isfinite(self.y_low) | np.isfinite(self.y_high))[0]
-        cost = np.where(self.weights.outputs > 0.0, self.weights.outputs, 1.0)[soft]
-        prices = self.weights.violation * np.stack([np.sqrt(cost), cost])
-        return self.y_low.copy(), self.y_high.copy(), soft, prices
 
     @cached_property
     def _flat(self) -> np.ndarray:
@@ -403,44 +305,6 @@ class _Along:
             acting = np.linalg.solve(C @ moved, y - self.y0[0])
             return np.concatenate([moved @ acting, acting - own])
         return np.concatenate([moved @ own, y - self.y0[0] - C @ moved @ own])
-
-
-def solved_by_daqp(program: Program) -> np.ndarray | None:
-    """The answer of DAQP where it says optimal and the limits confirm it, else None."""
-    import daqp
-
-    upper, lower = np.minimum(program.upper, 1e30), np.maximum(program.lower, -1e30)
-    x, _, flag, _ = daqp.solve(program.H, program.f, program.A, upper, lower)
-    return _believed(program, np.asarray(x)) if flag == 1 else None
-
-
-def solved_by_clarabel(program: Program) -> np.ndarray | None:
-    """The answer of Clarabel where it says solved and the limits confirm it, else None."""
-    import clarabel as compiled  # its names are not visible to the type checker
-    from scipy import sparse
-
-    clarabel: Any = compiled
-    n = len(program.f)
-    bounds = len(program.lower) - len(program.A)
-    rows = np.vstack([np.eye(n)[:bounds], program.A])
-    above, below = np.isfinite(program.upper), np.isfinite(program.lower)
-    A = sparse.csc_matrix(np.vstack([rows[above], -rows[below]]))
-    b = np.concatenate([program.upper[above], -program.lower[below]])
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    try:
-        P = sparse.csc_matrix(np.triu(program.H))
-        answer = clarabel.DefaultSolver(P, program.f, A, b, [clarabel.NonnegativeConeT(len(b))], settings).solve()
-    except Exception:  # numbers that are none: the solver panics, the loop must not
-        return None
-    return _believed(program, np.array(answer.x)) if answer.status == clarabel.SolverStatus.Solved else None
-
-
-def _believed(program: Program, x: np.ndarray) -> np.ndarray | None:
-    """x where it is finite and keeps the limits, to a millionth of their size."""
-    from controllers.condensing import kept
-
-    return x if kept(program.A, x, program.lower, program.upper, 1e-6) else None
 
 
 def default_weights(model: LPVModel, move: float = 0.1) -> Weights:

@@ -9,8 +9,9 @@ import pytest
 
 from controllers import mpc as module
 from controllers.condensing import condense
-from controllers.mpc import MPC, Weights, design_mpc
+from controllers.mpc import MPC, design_mpc
 from controllers.pid import pid
+from controllers.receding import Weights, solved_by_daqp
 from workbench.data import Channel
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
 
@@ -93,7 +94,7 @@ def test_condense_and_solve_against_cvxpy_with_parameters():
         along = module._Along(controller, controller._path(rho, 1e-3))
         middle = time.perf_counter()
         program = controller._program(last, along, z, np.tile(r, (N + 1, 1)))
-        answer = module.solved_by_daqp(program)
+        answer = solved_by_daqp(program)
         end = time.perf_counter()
         if n % 10:
             continue  # the peer takes long: every tenth is compared

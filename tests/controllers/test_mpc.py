@@ -9,10 +9,12 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from controllers import mpc as module
+from controllers import receding
 from controllers.condensing import condense
-from controllers.mpc import MPC, Extrapolated, Held, Status, Weights, design_mpc
+from controllers.mpc import MPC, Extrapolated, Held, design_mpc
 from controllers.observer import design_observer
 from controllers.pid import pid
+from controllers.receding import Status, Weights
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
@@ -121,7 +123,7 @@ def test_without_active_limits_it_is_the_regulator_of_python_control(horizon, in
     for _ in range(5):
         z, last, r = random.normal(size=5), random.normal(size=2), random.normal((5.0, 1.0))
         along, state = module._Along(controller, controller._path(rho, 0.0)), controller.init(last)
-        plan, status = controller._planned(state, along, z, np.tile(r, (horizon + 1, 1)))
+        plan, status = controller._solved(controller._program(state.u, along, z, np.tile(r, (horizon + 1, 1))))
         xt, ut, _ = controller._target(last, along, z, r)
         expected = last - F @ np.concatenate([z[:3] - xt, last - ut])
         # the terminal cost is interpolated between eleven schedule values; at one of them it is exact
@@ -162,7 +164,8 @@ def test_the_first_move_is_that_of_cvxpy_and_clarabel():
         state = controller.init(random.uniform(-1.0, 1.0, 2))
         r, rho, slope = random.uniform((3.0, -1.0), (7.0, 3.0)), random.uniform(1.0, 1.8), 0.01
         path = controller._path(rho, slope)
-        plan, _ = controller._planned(state, module._Along(controller, path), z, np.tile(r, (13, 1)))
+        program = controller._program(state.u, module._Along(controller, path), z, np.tile(r, (13, 1)))
+        plan, _ = controller._solved(program)
         np.testing.assert_allclose(plan[0], stated_in_cvxpy(controller, state, z, r, path)[0], atol=1e-5)
         room = np.minimum(controller.high - plan, plan - controller.low)
         active += bool((room < 1e-6).any() or (np.abs(np.diff(plan, axis=0)) > controller.rate * DT - 1e-6).any())
@@ -176,7 +179,7 @@ def test_both_solvers_give_one_answer():
         last, z = random.uniform(-1, 1, 2), random.normal(size=5)
         along = module._Along(controller, controller._path(1.3, 0.0))
         program = controller._program(last, along, z, np.tile([6.0, 2.0], (21, 1)))
-        one, other = module.solved_by_daqp(program), module.solved_by_clarabel(program)
+        one, other = receding.solved_by_daqp(program), receding.solved_by_clarabel(program)
         np.testing.assert_allclose(one[:2], other[:2], atol=1e-4)
 
 
@@ -279,11 +282,12 @@ def test_2000_steps_of_whatever_comes_each(seed):
 
 
 def test_a_second_solver_then_the_last_plan_then_the_pid_and_back(monkeypatch):
-    controller, plant, daqp, clarabel = law(horizon=5), Plant(lpv()), module.solved_by_daqp, module.solved_by_clarabel
+    controller, plant, daqp, clarabel = law(horizon=5), Plant(lpv()), receding.solved_by_daqp, receding.solved_by_clarabel
     fails = {"daqp": set(range(10, 40)), "clarabel": set(range(20, 40))}
     now = {"k": 0}
-    monkeypatch.setattr(module, "solved_by_daqp", lambda p: None if now["k"] in fails["daqp"] else daqp(p))
-    monkeypatch.setattr(module, "solved_by_clarabel", lambda p: None if now["k"] in fails["clarabel"] else clarabel(p))
+    for used_in in (module, receding):
+        monkeypatch.setattr(used_in, "solved_by_daqp", lambda p: None if now["k"] in fails["daqp"] else daqp(p))
+    monkeypatch.setattr(receding, "solved_by_clarabel", lambda p: None if now["k"] in fails["clarabel"] else clarabel(p))
     state, us, how = controller.init(), [], []
     for k in range(60):
         now["k"] = k
@@ -301,13 +305,13 @@ def test_a_second_solver_then_the_last_plan_then_the_pid_and_back(monkeypatch):
 
 
 def test_an_answer_that_breaks_the_limits_is_not_believed():
-    program = module.Program(np.eye(1), np.array([-5.0]), np.empty((0, 1)), np.array([-1.0]), np.array([1.0]))
-    assert module.solved_by_daqp(program) == pytest.approx([1.0])
-    assert module._believed(program, np.array([1.1])) is None
-    assert module._believed(program, np.array([np.nan])) is None
+    program = receding.Program(np.eye(1), np.array([-5.0]), np.empty((0, 1)), np.array([-1.0]), np.array([1.0]))
+    assert receding.solved_by_daqp(program) == pytest.approx([1.0])
+    assert receding._believed(program, np.array([1.1])) is None
+    assert receding._believed(program, np.array([np.nan])) is None
     crossed = program._replace(lower=np.array([2.0]))
-    assert module.solved_by_daqp(crossed) is None
-    assert module.solved_by_clarabel(crossed) is None
+    assert receding.solved_by_daqp(crossed) is None
+    assert receding.solved_by_clarabel(crossed) is None
 
 
 def test_bad_designs_are_refused():

@@ -1,0 +1,199 @@
+"""What laws that plan ahead share: weights, limits, the quadratic program and its solvers, and what is done when none answers.
+
+Every answer carries a status. Where the first solver has none, a second is asked; then the last plan goes on as long as it
+lasts; then a PID takes over. A command is never NaN and never outside its limits. Limits of the commands are hard, those of the
+outputs give way at a price.
+"""
+
+from collections.abc import Sequence
+from enum import Enum
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from controllers.scheduled_pid import ScheduledPID, check_limits
+from workbench.errors import InputError
+from workbench.records import field, record
+
+TINY = 1e-9  # relative weight that keeps a program strictly convex
+
+
+class Status(Enum):
+    """Where a command came from."""
+
+    OPTIMAL = "optimal"
+    SECOND_SOLVER = "second solver"
+    LAST_PLAN = "last plan"
+    FALLBACK = "fallback law"
+
+
+@record
+class Weights:
+    """What counts how much; each (ny,) or (nu,): errors of the outputs, moves of the commands, distance from the target.
+
+    violation: price of a unit of an output beyond its limit, as a multiple of what the same error costs, linear and squared.
+    """
+
+    outputs: np.ndarray = field("ny", low=0.0)
+    moves: np.ndarray = field("nu", low=0.0)
+    inputs: np.ndarray = field("nu", low=0.0)
+    violation: float = field("", low=0.0, default=1e3)
+
+
+class Program(NamedTuple):
+    """min 1/2 z'Hz + f'z, low <= z[:k] <= high, A z within lower and upper; bounds first in `lower` and `upper`."""
+
+    H: np.ndarray
+    f: np.ndarray
+    A: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class Plan(NamedTuple):
+    """What a law keeps of its plans: commands (N, nu), how many samples ago they were found, status, the fallback law's memory.
+
+    status None before the first sample; law None while the fallback does not command.
+    """
+
+    commands: np.ndarray
+    age: int
+    status: Status | None
+    law: np.ndarray | None
+
+
+UNPLANNED = Plan(np.empty((0, 0)), 0, None, None)
+
+
+class Receding:
+    """A law with these fields; rate [1/s], limits infinite where there is none."""
+
+    weights: Weights
+    horizon: int
+    low: np.ndarray
+    high: np.ndarray
+    rate: np.ndarray
+    y_low: np.ndarray
+    y_high: np.ndarray
+    fallback: ScheduledPID
+    name: str
+
+    @property
+    def dt(self) -> float:
+        raise NotImplementedError
+
+    def check(self, actuated: Sequence[str], controlled: Sequence[str]) -> None:
+        """Refuse a horizon, limits or a fallback law that do not fit channels of these names."""
+        if self.horizon < 1:
+            raise InputError(f"horizon {self.horizon}", file=self.name, mend="at least one sample; 10 to 40 are usual")
+        for channels, low, high in ((actuated, self.low, self.high), (controlled, self.y_low, self.y_high)):
+            check_limits(self.name, channels, low, high)
+        if (self.fallback.actuated, self.fallback.measured) != (tuple(actuated), tuple(controlled)):
+            raise InputError(
+                f"the fallback law goes from {', '.join(self.fallback.measured)} to {', '.join(self.fallback.actuated)}",
+                file=self.name, mend=f"design one that goes from {', '.join(controlled)} to {', '.join(actuated)}",
+            )  # fmt: skip
+
+    def _solved(self, program: Program) -> tuple[np.ndarray | None, Status]:
+        """Commands (N, nu) of a program, or None where no solver has an answer that its limits confirm."""
+        for solver, status in ((solved_by_daqp, Status.OPTIMAL), (solved_by_clarabel, Status.SECOND_SOLVER)):
+            answer = solver(program)
+            if answer is not None:
+                nu = len(self.low)
+                return answer[: self.horizon * nu].reshape(-1, nu), status
+        return None, Status.FALLBACK
+
+    def _acted(
+        self,
+        last: np.ndarray,
+        before: Plan,
+        found: np.ndarray | None,
+        status: Status,
+        r: np.ndarray,
+        y: np.ndarray,
+        rho: float | None,
+    ) -> tuple[np.ndarray, Plan]:
+        """The command of this sample from what was found, if anything, and what to remember; last: the command before."""
+        age, law = 0, None
+        if found is None and before.age + 1 < len(before.commands):
+            found, status, age = before.commands, Status.LAST_PLAN, before.age + 1
+        if found is not None:
+            u = found[age]
+        else:
+            law = self.fallback.init(last) if before.law is None else before.law
+            u, law = self.fallback.step(law, r, np.where(np.isfinite(y), y, r), rho)
+            found, status = UNPLANNED.commands, Status.FALLBACK
+        low, high = self._reach(last)
+        return np.clip(u, low[0], high[0]), Plan(found, age, status, law)
+
+    def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest commands (N, nu): the limits, or where the rate lets one come from outside of them."""
+        way = self._ways
+        low, high = np.minimum(self.low, last + way), np.maximum(self.high, last - way)
+        low[0], high[0] = np.maximum(low[0], last - way[0]), np.minimum(high[0], last + way[0])
+        return low, high
+
+    @cached_property
+    def _Q(self) -> np.ndarray:
+        return np.diag(self.weights.outputs)
+
+    @cached_property
+    def _S(self) -> np.ndarray:
+        return np.diag(self.weights.moves)
+
+    @cached_property
+    def _way(self) -> np.ndarray:
+        """Largest move in a sample, (nu,)."""
+        return self.rate * self.dt
+
+    @cached_property
+    def _ways(self) -> np.ndarray:
+        """Largest moves by the samples of the horizon, (N, nu)."""
+        return self._way * np.arange(1, self.horizon + 1)[:, None]
+
+    @cached_property
+    def _soft(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Limits of the outputs, which of them have any, and their prices (linear, squared)."""
+        soft = np.nonzero(np.isfinite(self.y_low) | np.isfinite(self.y_high))[0]
+        cost = np.where(self.weights.outputs > 0.0, self.weights.outputs, 1.0)[soft]
+        prices = self.weights.violation * np.stack([np.sqrt(cost), cost])
+        return self.y_low.copy(), self.y_high.copy(), soft, prices
+
+
+def solved_by_daqp(program: Program) -> np.ndarray | None:
+    """The answer of DAQP where it says optimal and the limits confirm it, else None."""
+    import daqp
+
+    upper, lower = np.minimum(program.upper, 1e30), np.maximum(program.lower, -1e30)
+    x, _, flag, _ = daqp.solve(program.H, program.f, program.A, upper, lower)
+    return _believed(program, np.asarray(x)) if flag == 1 else None
+
+
+def solved_by_clarabel(program: Program) -> np.ndarray | None:
+    """The answer of Clarabel where it says solved and the limits confirm it, else None."""
+    import clarabel as compiled  # its names are not visible to the type checker
+    from scipy import sparse
+
+    clarabel: Any = compiled
+    n = len(program.f)
+    bounds = len(program.lower) - len(program.A)
+    rows = np.vstack([np.eye(n)[:bounds], program.A])
+    above, below = np.isfinite(program.upper), np.isfinite(program.lower)
+    A = sparse.csc_matrix(np.vstack([rows[above], -rows[below]]))
+    b = np.concatenate([program.upper[above], -program.lower[below]])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    try:
+        P = sparse.csc_matrix(np.triu(program.H))
+        answer = clarabel.DefaultSolver(P, program.f, A, b, [clarabel.NonnegativeConeT(len(b))], settings).solve()
+    except Exception:  # numbers that are none: the solver panics, the loop must not
+        return None
+    return _believed(program, np.array(answer.x)) if answer.status == clarabel.SolverStatus.Solved else None
+
+
+def _believed(program: Program, x: np.ndarray) -> np.ndarray | None:
+    """x where it is finite and keeps the limits, to a millionth of their size."""
+    from controllers.condensing import kept
+
+    return x if kept(program.A, x, program.lower, program.upper, 1e-6) else None
