@@ -1,15 +1,17 @@
 """Controllers as files: plain JSON with a schema and a version, one kind a law."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from controllers import mpc, scheduled_pid
+from controllers import mpc, nmpc, scheduled_pid
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
+from workbench.physics.plant import Plant
 
 SCHEMA = "gain-scheduling-workbench/controller"
 VERSION = 1
-KINDS: dict[str, Any] = {scheduled_pid.KIND: scheduled_pid.ScheduledPID, mpc.KIND: mpc.MPC}
+KINDS: dict[str, Any] = {scheduled_pid.KIND: scheduled_pid.ScheduledPID, mpc.KIND: mpc.MPC, nmpc.KIND: nmpc.NMPC}
 
 
 def save_controller(controller: Any, path: str | Path) -> Path:
@@ -17,8 +19,11 @@ def save_controller(controller: Any, path: str | Path) -> Path:
     return write_json(path, {"schema": SCHEMA, "version": VERSION} | controller.to_dict())
 
 
-def load_controller(path: str | Path) -> Any:
-    """Read a file written by `save_controller`; what is missing or foreign is named."""
+def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None = None) -> Any:
+    """Read a file written by `save_controller`; what is missing or foreign is named.
+
+    find_plant: gives the plant that a nonlinear MPC predicts with, from what its file calls it. Only such a file needs it.
+    """
     content = read_json(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError(
@@ -28,7 +33,7 @@ def load_controller(path: str | Path) -> Any:
         raise InputError(f"controller version {content.get('version')}, this program reads {VERSION}", file=path)
     kind = KINDS[check_known("kind of controller", content.get("kind", ""), KINDS, file=path)]
     try:
-        return kind.from_dict(content)
+        return kind.from_dict(content, find_plant) if kind is nmpc.NMPC else kind.from_dict(content)
     except InputError as reason:
         raise InputError(reason.problem, file=path, channel=reason.channel, mend=reason.mend) from None
     except KeyError as reason:

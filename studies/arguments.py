@@ -35,6 +35,13 @@ def find_plant(text: str) -> Plant:
     return choose_plant(text).plant
 
 
+def trusted_plant(base: str, named: str) -> Plant:
+    """The plant that a controller's file calls `base`: a machine of the workbench, or what the user has named beside the file."""
+    if base not in PLANTS and base != named:
+        raise InputError(f"predicts with {base}, which is no machine of the workbench", mend=f"if you trust it, run it on {base}")
+    return find_plant(base)
+
+
 def choose_plant(text: str) -> Chosen:
     """A machine of the workbench by name, or package.module:NAME, or file.py:NAME, or an identified model's file; or a plant
     file that extends one of them.

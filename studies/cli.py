@@ -135,9 +135,10 @@ def parser() -> argparse.ArgumentParser:
         "design a controller on an identified model, with bounds on robustness at every schedule value",
         "examples:\n  workbench design scheduled-pid --model ssm.json --setpoint w3=100,theta=0\n"
         "  workbench design pid --model ssm.json --at 0.018 --sensitivity 1.4\n"
-        "  workbench design mpc --model ssm.json --low V1=0,V2=0 --high V1=5,V2=5 --keep theta=-20:20",
+        "  workbench design mpc --model ssm.json --low V1=0,V2=0 --high V1=5,V2=5 --keep theta=-20:20\n"
+        "  workbench design nmpc --model ssm.json --plant web-winding --fallback scheduled-pid.json",
     )
-    sub.add_argument("kind", metavar="LAW", help="scheduled-pid, pid (fixed gains) or mpc")
+    sub.add_argument("kind", metavar="LAW", help="scheduled-pid, pid (fixed gains), mpc, or nmpc (on the plant's own equation)")
     sub.add_argument("--model", required=True, metavar="MODEL", help="model file written by identify")
     sub.add_argument("--knots", type=_positive, default=5, metavar="N", help="schedule values with own gains (default 5)")
     sub.add_argument("--at", type=float, metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
@@ -154,10 +155,17 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--setpoint-weight", type=float, default=1.0, metavar="B", help="share of the set-point in the proportional part"
     )
-    sub.add_argument("--horizon", type=int, default=20, metavar="N", help="mpc: samples that it looks ahead (default 20)")
-    sub.add_argument("--move", type=float, default=0.1, metavar="W", help="mpc: price of moving a command (default 0.1)")
-    sub.add_argument("--keep", action="append", default=[], metavar="Y=A:B,..", help="mpc: outputs to keep between A and B")
-    sub.add_argument("--fallback", metavar="FILE", help="mpc: PID for when all else fails (default: designed here)")
+    sub.add_argument("--plant", metavar="PLANT", help=f"nmpc: {PLANT_HELP}")
+    sub.add_argument(
+        "--solver",
+        default="real-time-iteration",
+        metavar="S",
+        help="nmpc: real-time-iteration (default), or ipopt (slow)",
+    )
+    sub.add_argument("--horizon", type=int, default=20, metavar="N", help="mpc, nmpc: samples that it looks ahead (default 20)")
+    sub.add_argument("--move", type=float, default=0.1, metavar="W", help="mpc, nmpc: price of moving a command (default 0.1)")
+    sub.add_argument("--keep", action="append", default=[], metavar="Y=A:B,..", help="mpc, nmpc: outputs to keep between A and B")
+    sub.add_argument("--fallback", metavar="FILE", help="mpc, nmpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
 
     sub = command(

@@ -11,7 +11,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder
+from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder, trusted_plant
 from studies.results import Result, scores_file
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.errors import InputError, check_known
@@ -74,7 +74,7 @@ def simulate(options: Namespace) -> int:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}--inputs-from RECORD")
-    own_law = load_controller(options.controller) if options.controller else None
+    own_law = load_controller(options.controller, lambda base: trusted_plant(base, machine)) if options.controller else None
     if own_law and options.inputs_from:
         raise InputError("--controller and --inputs-from exclude each other", mend="a replay has no loop to close")
     if chosen and machine not in EXPERIMENTS:

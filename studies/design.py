@@ -9,10 +9,11 @@ import numpy as np
 from controllers.export import write_gain_table
 from controllers.files import load_controller, save_controller
 from controllers.mpc import default_weights, design_mpc
+from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, margins_of
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
-from studies.arguments import names, parse_numbers, run_folder
+from studies.arguments import Chosen, choose_plant, names, parse_numbers, run_folder
 from workbench.errors import InputError, check_known
 from workbench.files import write_json, write_text
 from workbench.lpv import LPVModel, load_model
@@ -20,7 +21,7 @@ from workbench.provenance import provenance
 
 Say = Callable[[str], None]
 LIMITS = (("low", -np.inf), ("high", np.inf), ("rate", np.inf))  # options of the commands, and what none given means
-KINDS = ("scheduled-pid", "pid", "mpc")
+KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 
 
 def design(options: Namespace, say: Say, progress: Say) -> int:
@@ -28,7 +29,9 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
     kind = check_known("controller", options.kind, KINDS)
     model = load_model(options.model)
     say(_described(model))
-    return _design_mpc(options, model, say, progress) if kind == "mpc" else _design_pid(options, kind, model, say, progress)
+    if kind in ("mpc", "nmpc"):
+        return _design_planning(options, kind, model, say, progress)
+    return _design_pid(options, kind, model, say, progress)
 
 
 def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
@@ -52,8 +55,9 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     return _finished(options, folder, path, result, [options.model, *options.robust_to], say)
 
 
-def _design_mpc(options: Namespace, model: LPVModel, say: Say, progress: Say) -> int:
-    """Writes mpc.json, with its model and fallback law inside, and design.json."""
+def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
+    """Writes mpc.json or nmpc.json, with the model or the plant and the fallback law inside, and design.json."""
+    chosen = _plant_of(options, kind)
     keep = _ranges(options.keep, model)
     if options.fallback:
         fallback = load_controller(options.fallback)
@@ -62,15 +66,18 @@ def _design_mpc(options: Namespace, model: LPVModel, say: Say, progress: Say) ->
     else:
         progress("fallback law: scheduled PID")
         fallback = _tuned(options, "pid" if model.schedule is None else "scheduled-pid", model, progress).law
-    low, high, rate = (_by_name(getattr(options, key), model, none) for key, none in LIMITS)
-    law = design_mpc(
-        model, fallback, horizon=options.horizon, low=low, high=high, rate=rate, y_low=keep[0], y_high=keep[1],
-        weights=default_weights(model, options.move),
-    )  # fmt: skip
+    limits = {key: _by_name(getattr(options, key), model, none) for key, none in LIMITS} | {"y_low": keep[0], "y_high": keep[1]}
+    common = {"horizon": options.horizon, "weights": default_weights(model, options.move), **limits}
+    if chosen:
+        solver = SOLVERS[check_known("solver", options.solver, SOLVERS)]()
+        law = design_nmpc(chosen.plant, fallback, base=chosen.base, solver=solver, **common)
+        said, files = f"NMPC on the equation of {chosen.plant.name}, {options.solver}", chosen.files
+    else:
+        law = design_mpc(model, fallback, **common)
+        said, files = f"MPC, disturbances at the {'inputs' if law.observer.at_inputs else 'outputs'}", ()
     folder = run_folder(options.out, "design")
-    path = save_controller(law, folder / "mpc.json")
-    place = "inputs" if law.observer.at_inputs else "outputs"
-    say(f"MPC over {law.horizon} samples ({law.horizon * law.dt:g} s), disturbances at the {place}")
+    path = save_controller(law, folder / f"{kind}.json")
+    say(f"{said}, over {law.horizon} samples ({law.horizon * law.dt:g} s)")
     for channel, a, b in zip(model.outputs, law.y_low, law.y_high, strict=True):
         if np.isfinite(a) or np.isfinite(b):
             say(f"  {channel.name} is kept from {a:g} to {b:g} {channel.unit} where that can be done")
@@ -78,8 +85,17 @@ def _design_mpc(options: Namespace, model: LPVModel, say: Say, progress: Say) ->
         rate = f", at most {c:g} {channel.unit}/s" if np.isfinite(c) else ""
         say(f"  {channel.name} from {a:g} to {b:g} {channel.unit}{rate}: always")
     say(f"controller -> {path}")
-    files = [options.model, *([options.fallback] if options.fallback else [])]
-    return _finished(options, folder, path, {"kind": "mpc", "weights": vars(law.weights)}, files, say)
+    read = [options.model, *([options.fallback] if options.fallback else []), *files]
+    return _finished(options, folder, path, {"kind": kind, "weights": vars(law.weights)}, read, say)
+
+
+def _plant_of(options: Namespace, kind: str) -> Chosen | None:
+    """The plant that a nonlinear MPC predicts with."""
+    if kind == "nmpc" and not options.plant:
+        raise InputError("which plant does it predict with?", mend="give --plant web-winding, or a plant of your own")
+    if kind != "nmpc" and options.plant:
+        raise InputError("--plant is for nmpc", mend="an mpc predicts with its --model")
+    return choose_plant(options.plant) if options.plant else None
 
 
 def _finished(options: Namespace, folder: Path, path: Path, result: dict, files: list[str], say: Say) -> int:

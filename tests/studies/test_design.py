@@ -176,3 +176,46 @@ def test_files_that_are_no_controllers_are_refused(folder, tmp_path):
     (tmp_path / "c.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match="field 'Ki' is missing"):
         load_controller(tmp_path / "c.json")
+
+
+def test_nonlinear_mpc_is_designed_and_runs(folder, tmp_path, capsys):
+    limits = ["--low", "V1=-1,V2=0", "--high", "V1=5,V2=5", "--keep", "theta=-20:20"]
+    fallback = ["--model", str(folder / "m.json"), "--fallback", str(folder / "out" / "scheduled-pid.json")]
+    assert main(["design", "nmpc", "--plant", "web-winding", *fallback, *limits, "--out", str(tmp_path)]) == 0
+    assert "theta is kept from -20 to 20 deg" in capsys.readouterr().out
+    options = ["--experiment", "ramp", "--controller", str(tmp_path / "nmpc.json"), "--json", str(tmp_path / "s.json")]
+    assert main(["simulate", "web-winding", *options, "--out", str(tmp_path / "run")]) == 0
+    run = json.loads((tmp_path / "s.json").read_text())["runs"][0]
+    assert run["statuses"] == {"optimal": 2250}
+    assert {score["output"]: score["RMS"] < limit for score, limit in zip(run["tracking"], (2.0, 0.8), strict=True)} == {
+        "w3": True, "theta": True
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["nmpc"], "which plant does it predict with"),
+        (["mpc", "--plant", "web-winding"], "--plant is for nmpc"),
+        (["nmpc", "--plant", "welding-robot"], "unknown output 'w3'"),
+        (["nmpc", "--plant", "web-winding", "--solver", "simplex"], "unknown solver 'simplex'"),
+        (["nmpc", "--plant", "web-winding", "--horizon", "0"], "horizon 0"),
+    ],
+)
+def test_what_a_nonlinear_mpc_needs(folder, options, message, capsys, tmp_path):
+    files = ["--model", str(folder / "m.json"), "--fallback", str(folder / "out" / "scheduled-pid.json")]
+    assert main(["design", *options, *files, "--out", str(tmp_path / "o")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_controller_file_never_runs_code_of_its_own(folder, tmp_path, capsys):
+    limits = ["--plant", "web-winding", "--model", str(folder / "m.json")]
+    fallback = ["--fallback", str(folder / "out" / "scheduled-pid.json")]
+    assert main(["design", "nmpc", *limits, *fallback, "--out", str(tmp_path)]) == 0
+    content = json.loads((tmp_path / "nmpc.json").read_text())
+    content["plant"]["base"] = "evil.py:PLANT"
+    (tmp_path / "nmpc.json").write_text(json.dumps(content))
+    options = ["--experiment", "ramp", "--controller", str(tmp_path / "nmpc.json"), "--out", str(tmp_path / "run")]
+    assert main(["simulate", "web-winding", *options]) == 2
+    assert "evil.py:PLANT, which is no machine of the workbench" in capsys.readouterr().err
