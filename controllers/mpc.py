@@ -307,7 +307,7 @@ class _Along:
         return np.concatenate([moved @ own, y - self.y0[0] - C @ moved @ own])
 
 
-def default_weights(model: LPVModel, move: float = 0.1) -> Weights:
+def default_weights(model: LPVModel, move: float = 0.003) -> Weights:
     """An output counts in units of what unit inputs move it in the middle of the schedule; move: price of a unit move."""
     A, B, C, D = model.freeze(float(np.mean(model.span)) if model.schedule else None)
     scale = np.linalg.norm(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D, axis=1)

@@ -86,7 +86,7 @@ class NMPC(Receding):
     y_high: np.ndarray = field("ny")
     fallback: ScheduledPID
     solver: Solver = field(default_factory=RealTimeIteration)
-    drift: float = field("", low=1e-9, default=0.1)
+    drift: float = field("", low=1e-9, default=0.3)
     name: str = "nmpc"
 
     def __post_init__(self):
@@ -300,7 +300,7 @@ class NMPC(Receding):
         return ca.nlpsol("nmpc", "ipopt", program, quiet | limits)
 
 
-def default_weights(model: SampledPlant, controlled: tuple[str, ...], horizon: int, move: float = 0.1) -> Weights:
+def default_weights(model: SampledPlant, controlled: tuple[str, ...], horizon: int, move: float = 0.003) -> Weights:
     """An output counts in units of what unit inputs move it within the horizon at the start; move: price of a unit move."""
     x, u = model.start
     _, A, B = (np.array(a) for a in model.linear(x, u[model.at]))

@@ -203,6 +203,19 @@ def margins_of(
     return Margins(**{key: np.array([row[key] for row in rows]) for key in rows[0]})
 
 
+def loops_of(law: ScheduledPID, model: LPVModel, rho: float | None, omega: np.ndarray) -> np.ndarray:
+    """L_i(exp(j omega dt)), (N, nu): loop i opened at the plant input, the others closed; L_i = 1 / S_ii - 1."""
+    A, B, C, D = model.freeze(rho)
+    P = FrozenPoint(rho, model.dt, A, B, C, D, np.ones(len(C))).response(omega)
+    S = np.linalg.inv(np.eye(B.shape[1]) + law.response(omega, rho) @ P)
+    return 1.0 / np.einsum("wii->wi", S) - 1.0
+
+
+def _interface(model: LPVModel) -> tuple:
+    """What two models must share for one law: channels with their units, and the sample time."""
+    return [str(c) for c in model.inputs], [str(c) for c in model.outputs], model.dt
+
+
 def _knots(model: LPVModel, knots: int | Sequence[float]) -> np.ndarray:
     """Schedule values at which the surface has its coefficients."""
     if model.schedule is None:
@@ -238,7 +251,7 @@ class _Plan:
     ):  # fmt: skip
         self.model, self.models, self.grid, self.structure, self.bounds = model, models, grid, structure, bounds
         for other in models:
-            if (other.inputs, other.outputs, other.dt) != (model.inputs, model.outputs, model.dt):
+            if _interface(other) != _interface(model):
                 raise InputError("other inputs, outputs or sample time than the first model", file=other.name)
         self.fixed = len(grid) == 1
         middle = np.array([self.frozen(model, rho, np.ones(len(model.outputs))).gain for rho in grid]).mean(axis=0)
@@ -341,8 +354,8 @@ class _Plan:
         """The worst of all models at every schedule value."""
         each = [margins_of(law, model, self._at(model, rhos), self.bounds, self.scale) for model in self.models]
         high = {key: np.max([getattr(m, key) for m in each], axis=0) for key in PEAKS}
-        at = np.argmax([m.sensitivity / self.bounds.sensitivity for m in each], axis=0)
-        frequencies = np.stack([m.frequencies for m in each])[at, np.arange(len(rhos))]
+        worst = np.argmax([[getattr(m, key) for key in PEAKS[:3]] for m in each], axis=0)  # (3, n): whose peak it is
+        frequencies = np.take_along_axis(np.stack([m.frequencies for m in each]), worst.T[None], axis=0)[0]
         return Margins(rho=rhos, bandwidth=np.min([m.bandwidth for m in each], axis=0), frequencies=frequencies, **high)
 
     def _at(self, model: LPVModel, rhos: np.ndarray) -> list[float | None]:

@@ -124,7 +124,7 @@ class PlantObserver:
     """The filter; see the module. drift: relative, see there."""
 
     model: SampledPlant
-    drift: float = field("", low=1e-9, default=0.1)
+    drift: float = field("", low=1e-9, default=0.3)
 
     def first(self, y: np.ndarray) -> Belief:
         """Where the machine starts: its equilibrium at what is measured, as far as the plant's start knows the channels."""

@@ -34,10 +34,17 @@ def _hidden_effects() -> ModuleType:
     return hidden_effects
 
 
+def _controller_comparison() -> ModuleType:
+    from studies import controller_comparison
+
+    return controller_comparison
+
+
 STUDIES: dict[str, Callable[[], ModuleType]] = {
     "web-winding": _web_winding,
     "welding-robot": _welding_robot,
     "emps": _emps,
     "winding-records": _winding_records,
     "hidden-effects": _hidden_effects,
+    "controller-comparison": _controller_comparison,
 }

@@ -163,7 +163,7 @@ def parser() -> argparse.ArgumentParser:
         help="nmpc: real-time-iteration (default), or ipopt (slow)",
     )
     sub.add_argument("--horizon", type=int, default=20, metavar="N", help="mpc, nmpc: samples that it looks ahead (default 20)")
-    sub.add_argument("--move", type=float, default=0.1, metavar="W", help="mpc, nmpc: price of moving a command (default 0.1)")
+    sub.add_argument("--move", type=float, default=0.003, metavar="W", help="mpc, nmpc: price of moving a command (default 0.003)")
     sub.add_argument("--keep", action="append", default=[], metavar="Y=A:B,..", help="mpc, nmpc: outputs to keep between A and B")
     sub.add_argument("--fallback", metavar="FILE", help="mpc, nmpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
@@ -178,12 +178,21 @@ def parser() -> argparse.ArgumentParser:
     command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
 
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
-    sub.add_argument("study", metavar="STUDY", help="web-winding, welding-robot, emps, winding-records or hidden-effects")
+    sub.add_argument(
+        "study",
+        metavar="STUDY",
+        help="web-winding, welding-robot, emps, winding-records, hidden-effects, controller-comparison",
+    )
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
     sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")
-    sub.add_argument("--cases", type=_positive, metavar="M", help="hidden-effects: number of cases (default 600)")
-    sub.add_argument("--jobs", type=_positive, metavar="N", help="hidden-effects: processes side by side (default 1)")
+    sub.add_argument(
+        "--cases",
+        type=_positive,
+        metavar="M",
+        help="hidden-effects: cases (default 600); controller-comparison: seeds (20)",
+    )
+    sub.add_argument("--jobs", type=_positive, metavar="N", help="both of these: processes side by side (default 1)")
     return top
 
 

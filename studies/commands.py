@@ -441,7 +441,7 @@ def study(options: Namespace) -> int:
 
     module = STUDIES[check_known("study", options.study, STUDIES)]()
     own = {name: value for name in ("cases", "jobs") if (value := getattr(options, name)) is not None}
-    if own and options.study != "hidden-effects":
+    if own and options.study not in ("hidden-effects", "controller-comparison"):
         raise InputError(f"--{next(iter(own))} does not belong to {options.study}", mend="leave it out, or study hidden-effects")
     folder = run_folder(options.out, options.study)
     module.main(

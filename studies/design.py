@@ -1,7 +1,7 @@
 """`workbench design`: from an identified model to a controller file, its margins, and what to do with it."""
 
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +10,20 @@ from controllers.export import write_gain_table
 from controllers.files import load_controller, save_controller
 from controllers.mpc import default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
-from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, margins_of
+from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, frequencies, loops_of, margins_of
 from controllers.scheduled_pid import ScheduledPID
-from controllers.tuning import Bounds
+from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, parse_numbers, run_folder
 from workbench.errors import InputError, check_known
 from workbench.files import write_json, write_text
 from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
+from workbench.report import figures
+from workbench.report.page import Block, Report, Section, Table, write_report
 
 Say = Callable[[str], None]
 LIMITS = (("low", -np.inf), ("high", np.inf), ("rate", np.inf))  # options of the commands, and what none given means
+POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 
 
@@ -48,6 +51,10 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     _say_margins(found, over, model, say)
     say(f"controller -> {path}")
     say(f"gain table -> {folder / 'gains.csv'}, margins -> {folder / 'margins.csv'}")
+    pictures = design_pictures({kind: found.law}, model, bounds, found.scale)
+    title = f"{kind} on {model.name}"
+    page = Report(title, _worst_said(found, over, model), (Section("Design", pictures),))
+    say(f"pictures -> {write_report(page, folder)}")
     result = {
         "kind": kind, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
         "integral_action": {"reached": found.low_frequency, "alone": found.alone},
@@ -181,6 +188,54 @@ def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
     return [given[name] for name in known] if given else None
 
 
+def design_pictures(
+    laws: Mapping[str, ScheduledPID], model: LPVModel, bounds: Bounds = DEFAULT, scale: np.ndarray | None = None
+) -> tuple[Block, ...]:
+    """Gains and margins of PIDs over the schedule of a model, and the Nyquist curves of the last; margins where there is none."""
+    schedule = model.schedule
+    rho = [None] if schedule is None else list(np.linspace(model.span[0], model.span[1], POINTS))
+    margins = {name: margins_of(law, model, rho, bounds, scale) for name, law in laws.items()}
+    peaks = {"largest sensitivity": "sensitivity", "largest complementary sensitivity": "complementary", "largest pole": "radius"}
+    name, law = list(laws.items())[-1]
+    shown = [rho[i] for i in np.unique(np.linspace(0, len(rho) - 1, FAMILY).round().astype(int))]
+    titles = [model.name if schedule is None else f"{schedule.name} = {at:.4g} {schedule.unit}".rstrip() for at in shown]
+    opened = [loops_of(law, model, at, frequencies(model.dt, 5)) for at in shown]
+    family = figures.nyquist(
+        f"Nyquist curves, {name}",
+        {
+            f"loop of {c.name}": {title: L[:, i] for title, L in zip(titles, opened, strict=True)}
+            for i, c in enumerate(model.inputs)
+        },
+        bounds.sensitivity,
+    )
+    if schedule is None:
+        rows = tuple((own, *(float(getattr(margins[own], key)[0]) for key in peaks.values())) for own in laws)
+        return Table("Margins", ("law", *peaks), rows, digits=3), family
+    over = figures.Trace(schedule, np.array(rho))
+    asked = {"sensitivity": bounds.sensitivity, "complementary": bounds.complementary, "radius": 1.0}
+    curves = {
+        panel: {own: getattr(m, key) for own, m in margins.items()} | {"asked": np.array(asked[key])}
+        for panel, key in peaks.items()
+    }  # fmt: skip
+    gains = {own: [found.gains_at(value) for value in rho] for own, found in laws.items()}
+    surfaces = {
+        f"{kind}, {u.name} from {y.name}": {own: np.array([g[k][i, j] for g in each]) for own, each in gains.items()}
+        for k, kind in enumerate(("Kp", "Ki", "Kd"))
+        for i, u in enumerate(model.inputs)
+        for j, y in enumerate(model.outputs)
+    }
+    return (
+        figures.over_schedule(
+            "Margins over the schedule",
+            over,
+            curves,
+            "Frozen loops of the identified model, by python-control; asked: the bound.",
+        ),
+        figures.over_schedule("Gains over the schedule", over, surfaces),
+        family,
+    )
+
+
 def _described(model: LPVModel) -> str:
     inputs, outputs = (", ".join(c.name for c in channels) for channels in (model.inputs, model.outputs))
     schedule = model.schedule
@@ -197,9 +252,7 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
                 f"{over.rho[i]:<10.5g} {over.sensitivity[i]:8.3f} {over.complementary[i]:9.3f} {over.effort[i]:8.2f} "
                 f"{over.bandwidth[i]:12.2f} {over.radius[i]:18.4f}"
             )
-    worst = int(over.sensitivity.argmax())
-    at = f" at {schedule.name} = {over.rho[worst]:.4g} {schedule.unit}" if schedule else ""
-    say(f"largest sensitivity {over.sensitivity[worst]:.3f}{at}, asked {bounds.sensitivity:g}; {len(over.rho)} frozen loops")
+    say(_worst_said(found, over, model))
     if len(found.knots) > 1:
         share = (found.low_frequency / found.alone).min()
         say(f"integral action: at least {share:.0%} of what a law made for each knot alone reaches")
@@ -209,6 +262,15 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
             f"{over.broken(bounds).sum()} of {len(over.rho)} schedule values: workbench design scheduled-pid keeps them"
         )
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
+
+
+def _worst_said(found: PIDDesign, over: Margins, model: LPVModel) -> str:
+    """The largest sensitivity, and where."""
+    worst = int(over.sensitivity.argmax())
+    at = f" at {model.schedule.name} = {over.rho[worst]:.4g} {model.schedule.unit}" if model.schedule else ""
+    return (
+        f"largest sensitivity {over.sensitivity[worst]:.3f}{at}, asked {found.bounds.sensitivity:g}; {len(over.rho)} frozen loops"
+    )
 
 
 def _write_margins(margins: Margins, model: LPVModel, path: Path) -> None:

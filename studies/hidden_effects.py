@@ -9,11 +9,10 @@ runs it, and the diagnosis is made again. All rates are of the rows alone: see h
 import hashlib
 import json as plain_json
 import math
-import multiprocessing
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -38,13 +37,14 @@ from studies.hidden_scores import (
     resolution,
     tied,
 )
+from studies.table import made, whole_rows
 from workbench.data import Dataset, Experiment
 from workbench.diagnose.diagnosis import diagnose
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model
 from workbench.errors import InputError
-from workbench.files import read_json, write_json, write_text
+from workbench.files import read_json, write_json
 from workbench.provenance import provenance, versions
 from workbench.records import record
 from workbench.report import figures
@@ -292,9 +292,8 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
 
     Raises InputError where the folder's rows were made by another version or with other limits.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     table = folder / "cases.jsonl"
-    rows = _whole_rows(table)
+    rows = whole_rows(table)
     limits = _limits(folder, progress)
     configuration = configured(limits)
     others = {row.get("configuration", "none") for row in rows} - {configuration}
@@ -305,33 +304,11 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
             mend="give a new --out folder, or the workbench that wrote this one",
         )
     done = {row["seed"] for row in rows}
-    for row in _made([seed for seed in seeds if seed not in done], limits, configuration, jobs):
-        with table.open("a", encoding="utf-8") as file:
-            file.write(plain_json.dumps(row) + "\n")
+    work = partial(run_case, limits=limits, configuration=configuration)
+    for row in made(table, work, [seed for seed in seeds if seed not in done], jobs):
         rows.append(row)
         progress(said(row))
     return rows
-
-
-def _made(seeds: Sequence[int], limits: Limits, configuration: str, jobs: int) -> Iterator[dict[str, Any]]:
-    """Rows as they are done; only this process writes, so that a row is whole or absent."""
-    work = partial(run_case, limits=limits, configuration=configuration)
-    if jobs == 1 or len(seeds) < 2:
-        yield from map(work, seeds)
-        return
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        yield from pool.imap_unordered(work, seeds)
-
-
-def _whole_rows(table: Path) -> list[dict[str, Any]]:
-    """The rows of a table; a last line that was cut off is taken away, so that the next row does not join it."""
-    if not table.exists():
-        return []
-    text = table.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        write_text(table, whole)
-    return [plain_json.loads(line) for line in whole.splitlines()]
 
 
 def _limits(folder: Path, progress: Say) -> Limits:

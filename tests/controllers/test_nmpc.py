@@ -122,10 +122,10 @@ def test_the_filter_of_a_linear_plant_settles_at_the_riccati_solution():
         belief = observer.moved(observer.corrected(belief, np.zeros(1)), u)
     H, R = np.array([[1.0, 0.0, 0.0]]), np.array([[0.002**2]])
     P = solve_discrete_are(A.T, H.T, observer._wander, R)
-    np.testing.assert_allclose(belief.P, P, rtol=1e-5, atol=1e-12)
-    # d wanders by a tenth of what, held for a second, moves v by the noise; x by a tenth of the noise
+    np.testing.assert_allclose(belief.P, P, rtol=1e-4, atol=1e-12)
+    # d wanders by 0.3 of what, held for a second, moves v by the noise; x by 0.3 of the noise
     gain = sum(np.linalg.matrix_power(A[:2, :2], k) @ A[:2, 2:] for k in range(50))[0, 0]
-    np.testing.assert_allclose(np.sqrt(np.diag(observer._wander)), [2e-4, 0.0, 2e-4 / gain], rtol=1e-6)
+    np.testing.assert_allclose(np.sqrt(np.diag(observer._wander)), [6e-4, 0.0, 6e-4 / gain], rtol=1e-6)
 
 
 def test_the_filter_finds_a_wrong_start_and_an_unlogged_push():

@@ -9,7 +9,7 @@ from controllers.pid_design import Structure, design_pid, margins_of
 from controllers.tuning import Bounds
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model
+from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model, load_model
 
 DT = 0.1
 INPUTS = (Channel("V1", "V", "input"), Channel("V2", "V", "input"))
@@ -100,8 +100,9 @@ def test_u0_holds_the_setpoint_at_every_knot(designed):
     np.testing.assert_allclose(plain.law.u0, [[0.5, 0.2]])
 
 
-def test_the_law_of_one_model_is_robust_to_another():
-    other = machine(slow=0.9, turned=tuple(1.6 * G for G in TURNED))
+def test_the_law_of_one_model_is_robust_to_another(tmp_path):
+    machine(slow=0.9, turned=tuple(1.6 * G for G in TURNED)).save(tmp_path / "other.json")
+    other = load_model(tmp_path / "other.json")
     bounds = Bounds(1.5, 1.4, 4.0)
     lonely = design_pid(machine(), knots=1, bounds=bounds)
     assert margins_of(lonely.law, other, [1.5], bounds).sensitivity[0] > 1.5

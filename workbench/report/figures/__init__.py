@@ -5,6 +5,7 @@ the same data give the same bytes everywhere.
 """
 
 from workbench.report.figures.canvas import BEYOND, PIXELS, WIDTH, Trace
+from workbench.report.figures.control import Followed, closed_loop, nyquist, over_schedule
 from workbench.report.figures.diagnosis import ParameterEstimate, left_over, missing, parameters, signals, similarity
 from workbench.report.figures.envelopes import Band, Width, envelope, widths
 from workbench.report.figures.identification import order_sweep, singular_values, sparsity_path
@@ -26,11 +27,13 @@ __all__ = [
     "WIDTH",
     "Band",
     "Coefficient",
+    "Followed",
     "ParameterEstimate",
     "ParameterInterval",
     "Rates",
     "Trace",
     "Width",
+    "closed_loop",
     "coefficient_functions",
     "domains",
     "envelope",
@@ -40,7 +43,9 @@ __all__ = [
     "missing",
     "modes_against_precision",
     "modes_along_time",
+    "nyquist",
     "order_sweep",
+    "over_schedule",
     "parameters",
     "parameters_along_time",
     "rates",

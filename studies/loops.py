@@ -1,0 +1,197 @@
+"""What loops are compared on: for each machine the laws that are designed, and the scenarios of a whole run.
+
+Laws are designed as a user would: records of the machine's plan, a model, then `design`. Nothing that a law does not measure is
+told to it but what its file holds; the nonlinear MPC's file holds the plant.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from controllers.mpc import default_weights, design_mpc
+from controllers.nmpc import design_nmpc
+from controllers.pid_design import PIDDesign, Structure, design_pid
+from controllers.tuning import Bounds
+from plants import PLANTS
+from studies.experiments import plan
+from workbench.data import Dataset
+from workbench.identify.lti import LTI
+from workbench.identify.ssm import SSM
+from workbench.lpv import LPVModel
+from workbench.physics.plant import EffectSizes, Plant
+from workbench.records import record
+from workbench.simulate import Scenario, simulate
+
+Say = Callable[[str], None]
+
+
+@record
+class Case:
+    """A run: set-points by name (N,), what happens to the inputs unlogged, and missing physics; in words what it is."""
+
+    name: str
+    sentence: str
+    references: Mapping[str, np.ndarray]
+    disturbance: Mapping[str, np.ndarray]
+    effects: EffectSizes
+    shown: tuple[float, float]  # s, what a picture shows of it
+
+    def scenario(self, seed: int) -> Scenario:
+        return Scenario(self.name, self.references, seed=seed, disturbance=self.disturbance)
+
+
+@record
+class Designed:
+    """Laws by name, the models they were designed on by name, and the designs of the PIDs among them by name."""
+
+    laws: Mapping[str, object]
+    models: Mapping[str, LPVModel]
+    pids: Mapping[str, PIDDesign]
+
+
+@record
+class Bench:
+    """A machine: what its outputs are called, the limits of the comparison, how laws are designed, and what they run through.
+
+    keep: (low, high) of outputs that the MPCs keep where they can. base, scheduled: names of the laws that are set against each
+    other; quality: the output that matters most.
+    """
+
+    plant: Plant
+    words: Mapping[str, str]
+    keep: Mapping[str, tuple[float, float]]
+    base: str
+    scheduled: str
+    quality: str
+    design: Callable[[bool, int, Say], Designed]
+    cases: tuple[Case, ...]
+
+
+def _records(plant: Plant, experiments: tuple[str, ...], seed: int, roles: dict, effects: EffectSizes | None = None) -> Dataset:
+    """Records of the machine's plan, as they would be measured."""
+    found = []
+    for name in experiments:
+        todo = plan(plant.name, name)
+        run = simulate(plant, todo.controller, todo.scenario(seed), effects=todo.effects_with(effects or {}))
+        found.append(run.experiment.with_roles(**roles))
+    return Dataset(tuple(found))
+
+
+# ---- web winding machine ----------------------------------------------------------------------------------------------------
+
+WINDING = PLANTS["web-winding"]
+SAMPLES = 2250  # at 100 rad/s the whole tape
+SPEED = 100.0  # rad/s
+WINDING_LIMITS = Structure(low=np.array([-2.0, 0.0]), high=np.array([3.0, 3.0]), rate=np.array([50.0, 50.0]))  # V1, V2 in V
+
+
+def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
+    roles = {"inputs": ("V1", "V2"), "outputs": ("w3", "theta"), "schedule": ("r2",)}
+    progress("web-winding: identifying on prbs1 and rbs")
+    model = SSM(order=6 if quick else None).fit(_records(WINDING, ("prbs1", "rbs"), seed, roles))
+    pids = {}
+    for name, knots in (("fixed PID", 1), ("scheduled PID", 3 if quick else 5)):
+        progress(f"web-winding: designing the {name}")
+        pids[name] = design_pid(model, knots=knots, structure=WINDING_LIMITS, setpoint=(SPEED, 0.0))
+    fallback = pids["scheduled PID"].law
+    laws: dict[str, object] = {name: found.law for name, found in pids.items()}
+    low, high = np.array([-np.inf, -20.0]), np.array([np.inf, 20.0])
+    laws["LPV-MPC"] = design_mpc(model, fallback, y_low=low, y_high=high)
+    laws["NMPC"] = design_nmpc(WINDING, fallback, weights=default_weights(model), y_low=low, y_high=high)
+    return Designed(laws, {model.name: model}, pids)
+
+
+def _winding_cases() -> tuple[Case, ...]:
+    t, still = WINDING.dt * np.arange(SAMPLES), np.zeros(SAMPLES)
+
+    def case(name, sentence, shown, *, speed=still, angle=still, push=still, effects=None) -> Case:
+        references = {"w3_set": SPEED + speed, "theta_set": angle}
+        return Case(name, sentence, references, {"V1": push}, effects or {}, shown)
+
+    def square(size: float, period: float) -> np.ndarray:
+        return size * np.sign(np.sin(2.0 * np.pi * (t + 1e-6) / period))
+
+    stops = [(15.0, 0.0), (16.0, -SPEED), (18.0, -SPEED), (20.0, 0.0)]
+    course = [(begin + 30.0 * k, value) for k in range(3) for begin, value in stops]
+    bumps = still.copy()
+    for k, at in enumerate(np.arange(10.0, 90.0, 10.0)):
+        bumps[round(at / WINDING.dt)] = 0.5 * (-1) ** k
+    fast = [
+        (5.0, 0.0),
+        (6.5, 60.0),
+        (12.0, 60.0),
+        (14.0, -10.0),
+    ]  # out of reach of V2 at this radius; then to the end of the tape
+
+    def along(points: list[tuple[float, float]]) -> np.ndarray:
+        return np.interp(t, [at for at, _ in points], [value for _, value in points])
+
+    return (
+        case("production", "the whole reel at constant set-points", (0.0, 90.0)),
+        case("speed steps", "the speed set-point jumps by 10 rad/s every 6 s", (58.0, 74.0), speed=square(5.0, 12.0)),
+        case("tension steps", "the angle set-point jumps by 10 deg every 6 s", (58.0, 74.0), angle=square(5.0, 12.0)),
+        case("emergency stop", "from full speed to standstill within a second, three times", (74.0, 84.0), speed=along(course)),
+        case("splice", "a splice every 10 s: an impulse of the tension, as of 0.5 V for a sample", (28.0, 44.0), push=bumps),
+        case(
+            "eccentric reel", "the unwind reel runs out of true by 0.1 mm", (20.0, 30.0),
+            effects={"eccentricity@unwind": {"cosine": 1e-4}},
+        ),
+        case("saturation", "a speed set-point of 160 rad/s that the voltage does not reach", (3.0, 19.0), speed=along(fast)),
+    )  # fmt: skip
+
+
+# ---- welding robot ------------------------------------------------------------------------------------------------------------
+
+ROBOT = PLANTS["welding-robot"]
+ROBOT_SAMPLES = 2000
+HEAVY: EffectSizes = {"platform-mass@rail": {"change": 1.0}}
+STICKING: EffectSizes = {"coulomb@rail": {"level": 0.3}}
+BRISK = Bounds(1.6, 1.6, 20.0)  # the encoder is so good that noise may be amplified; all laws then move the force alike
+FORCE = Structure(low=np.array([-4.0]), high=np.array([4.0]), rate=np.array([100.0]))  # N
+
+
+def _design_robot(quick: bool, seed: int, progress: Say) -> Designed:
+    del quick
+    roles = {"inputs": ("u",), "outputs": ("v",)}
+    progress("welding-robot: identifying on prbs, rbs, with and without a load")
+    models = {}
+    for name, effects in (("nominal", {}), ("heavy", HEAVY)):
+        found = LTI(order=2).fit(_records(ROBOT, ("prbs", "rbs"), seed, roles, effects))
+        models[name] = replace(found, name=name)
+    progress("welding-robot: designing")
+    nominal, heavy = models["nominal"], models["heavy"]
+    pids = {
+        "PID": design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)),
+        "robust PID": design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy]),
+    }
+    fallback = pids["robust PID"].law
+    laws: dict[str, object] = {name: found.law for name, found in pids.items()}
+    weights = default_weights(nominal, move=1e-4)
+    laws["MPC"] = design_mpc(nominal, fallback, weights=weights)
+    laws["NMPC"] = design_nmpc(ROBOT, fallback, weights=weights)
+    return Designed(laws, models, pids)
+
+
+def _robot_cases() -> tuple[Case, ...]:
+    t = ROBOT.dt * np.arange(ROBOT_SAMPLES)
+    at, speed = [1, 2, 8, 9, 12, 13, 19, 20, 26, 27, 33, 34], [0, 0.4, 0.4, 0, 0, -0.4, -0.4, 0.1, 0.1, 0.6, 0.6, 0]
+    v = np.interp(t, at, speed)
+    each = (
+        ("nominal", "starts, a reversal, a slow seam and a fast one", {}),
+        ("heavy", "with 1 kg more on the platform, which nobody tells the controller", HEAVY),
+        ("sticking", "with a static friction of 0.3 N between wheels and rail", STICKING),
+        ("heavy and sticking", "with both", {**HEAVY, **STICKING}),
+    )
+    return tuple(Case(name, sentence, {"v_set": v}, {}, effects, (0.0, 40.0)) for name, sentence, effects in each)
+
+
+def benches() -> dict[str, Bench]:
+    """By name of the machine."""
+    return {
+        WINDING.name: Bench(
+            WINDING, {"w3": "speed", "theta": "tension"}, {"theta": (-20.0, 20.0)}, "fixed PID", "scheduled PID", "theta",
+            _design_winding, _winding_cases(),
+        ),
+        ROBOT.name: Bench(ROBOT, {"v": "speed"}, {}, "PID", "robust PID", "v", _design_robot, _robot_cases()),
+    }  # fmt: skip

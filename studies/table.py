@@ -1,0 +1,37 @@
+"""Work whose rows stand in a file as soon as they are done, so that a run that was cut off goes on where it stopped."""
+
+import json
+import multiprocessing
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from workbench.files import write_text
+
+
+def whole_rows(table: Path) -> list[dict[str, Any]]:
+    """The rows of a file, one JSON object a line; a last line that was cut off is taken away before another row joins it."""
+    if not table.exists():
+        return []
+    text = table.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        write_text(table, whole)
+    return [json.loads(line) for line in whole.splitlines()]
+
+
+def made(table: Path, work: Callable[[Any], dict[str, Any]], items: Sequence[Any], jobs: int = 1) -> Iterator[dict[str, Any]]:
+    """A row for every item, `jobs` at a time, in the file before it is given; only this process writes."""
+    table.parent.mkdir(parents=True, exist_ok=True)
+    for row in _rows(work, items, jobs):
+        with table.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        yield row
+
+
+def _rows(work: Callable[[Any], dict[str, Any]], items: Sequence[Any], jobs: int) -> Iterator[dict[str, Any]]:
+    if jobs == 1 or len(items) < 2:
+        yield from map(work, items)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        yield from pool.imap_unordered(work, items)
