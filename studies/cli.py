@@ -161,6 +161,19 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
 
     sub = command(
+        "export",
+        "write a controller as source text or as tables for another program",
+        "examples:\n  workbench export scheduled-pid.json --to c --name web_pid\n  workbench export scheduled-pid.json --to st\n"
+        "  workbench export mpc.json --to json",
+    )
+    sub.add_argument("controller", metavar="CONTROLLER", help="controller file written by design")
+    sub.add_argument(
+        "--to", required=True, metavar="FORM", help="c (C99), st (IEC 61131-3), csv (gains), or json (gains, matrices of an MPC)"
+    )
+    sub.add_argument("--name", metavar="NAME", help="c, st: name of the functions or the block (default: from the law's name)")
+    sub.add_argument("--float", action="store_true", help="c: single precision instead of double")
+
+    sub = command(
         "effects",
         "list the effects that a plant can lack: places, equations, units, and what tells them apart",
         "examples:\n  workbench effects\n  workbench effects welding-robot",
