@@ -85,7 +85,7 @@ class MPC(Receding):
                 f"the fallback law is scheduled on {self.fallback.schedule}, the model on {self.schedule or 'nothing'}",
                 file=self.name, mend="design it on the same model",
             )  # fmt: skip
-        _ = self._terminal  # an uncontrollable model is refused here, not at the first sample
+        _ = self.terminal  # an uncontrollable model is refused here, not at the first sample
 
     # ---- what a loop needs to know ----------------------------------------------------------------------------------------
 
@@ -111,7 +111,7 @@ class MPC(Receding):
 
     def init(self, u: np.ndarray | None = None) -> MPCState:
         """Before the first sample; u: the command that it takes over from, else that of the model's operating point."""
-        held = self._operating(np.array([np.mean(self.model.span)]))[0][0] if u is None else np.asarray(u, dtype=float)
+        held = self.operating(np.array([np.mean(self.model.span)]))[0][0] if u is None else np.asarray(u, dtype=float)
         unknown = np.full(self.observer.L.shape[1], np.nan)  # found from the first measurement
         return MPCState(unknown, held, np.nan, 0.0, UNPLANNED)
 
@@ -189,7 +189,7 @@ class MPC(Receding):
         pushed, bias, x = model.pushed(d_in - model.u0[:N]), model.y0 + d_out, z[:nx].copy()
         H, f, Y, free = condense(
             model.M, nx, nu, ny, pushed, bias, x, r + (yt - r[-1]), np.array(last), xt, ut,
-            self._Q, self._S, self._R, self._terminal_cost(model.path[-1]),
+            self._Q, self._S, self._R, self.terminal_cost(model.path[-1]),
         )  # fmt: skip
         low, high = self._reach(last)
         return Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
@@ -229,7 +229,7 @@ class MPC(Receding):
         return np.array([term.function for term in self.model.terms])
 
     @cached_property
-    def _terminal(self) -> tuple[np.ndarray, np.ndarray]:
+    def terminal(self) -> tuple[np.ndarray, np.ndarray]:
         """Schedule values, and there the cost of the regulator on (x, last command)."""
         low, high = self.model.span
         grid = np.linspace(low, high, POINTS) if self.model.schedule else np.zeros(1)
@@ -252,10 +252,10 @@ class MPC(Receding):
                 mend="give every output a weight above 0, and a model whose inputs move all of it",
             ) from None  # fmt: skip
 
-    def _terminal_cost(self, rho: float) -> np.ndarray:
-        return interpolated(*self._terminal, rho)
+    def terminal_cost(self, rho: float) -> np.ndarray:
+        return interpolated(*self.terminal, rho)
 
-    def _operating(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def operating(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """u0 and y0 along a schedule."""
         phi = self.model.operating_point.basis(path)
         return phi @ self.model.operating_point.u, phi @ self.model.operating_point.y
@@ -268,7 +268,7 @@ class _Along:
         self.path, self.at_inputs = path, law.observer.at_inputs
         self.nx, self.nu, self.ny = law.model.order, len(law.actuated), len(law.measured)
         self.M = law.model.basis(path)[:, law._functions] @ law._flat
-        self.u0, self.y0 = law._operating(path)
+        self.u0, self.y0 = law.operating(path)
 
     def matrices(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C of sample i."""

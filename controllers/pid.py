@@ -31,6 +31,7 @@ def pid(
     rate: np.ndarray | None = None,
     anti_windup: AntiWindup | None = None,
     name: str = "pid",
+    units: dict[str, str] | None = None,
 ) -> ScheduledPID:
     """The parallel form with gains (nu, ny), or (n,) for n loops of one input and one output each.
 
@@ -47,7 +48,7 @@ def pid(
     return ScheduledPID(
         tuple(actuated), tuple(measured), tuple(references), dt, Kp, Ki, Kd, each(u0, nu, 0.0)[None],
         each(b, ny, 1.0), each(c, ny, 0.0), each(low, nu, -np.inf), each(high, nu, np.inf), each(rate, nu, np.inf), Tf,
-        anti_windup or BackCalculation(), name=name,
+        anti_windup or BackCalculation(), name=name, units=units or {},
     )  # fmt: skip
 
 

@@ -315,6 +315,7 @@ class _Plan:
             schedule=None if self.fixed else model.schedule.name,  # type: ignore[union-attr]
             span=np.array([-np.inf, np.inf] if self.fixed else [self.grid[0], self.grid[-1]]),
             name="pid" if self.fixed else "scheduled-pid",
+            units={c.name: c.unit for c in (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))},
         )  # fmt: skip
 
     def steady_inputs(self, setpoint: Sequence[float] | None) -> np.ndarray:

@@ -47,6 +47,7 @@ class Clamping:
 AntiWindup = BackCalculation | Clamping
 ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
 KIND = "scheduled-pid"
+LAW = "u = u0 + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
 
 
 @record
@@ -77,6 +78,7 @@ class ScheduledPID:
     schedule: str | None = None
     span: np.ndarray = field("2", default=(-np.inf, np.inf))
     name: str = "scheduled-pid"
+    units: dict[str, str] = field(default_factory=dict)  # of the channels by name, where they are known
 
     def __post_init__(self):
         m, nu, ny = self.Kp.shape
@@ -112,6 +114,15 @@ class ScheduledPID:
         direct, integral = np.linalg.norm(Kp, axis=1), np.linalg.norm(Ki, axis=1)
         times = np.divide(direct, integral, out=np.full(len(direct), self.dt), where=integral > 0.0)
         return np.maximum(times, self.dt)
+
+    def unit(self, channel: str) -> str:
+        """Unit of a channel, "" where it is not known; a set-point has that of its output."""
+        return self.units.get(dict(zip(self.references, self.measured, strict=True)).get(channel, channel), "")
+
+    def gain_unit(self, actuated: str, measured: str, time: str = "") -> str:
+        """[V/(rad/s)] of a gain with what `time` adds to it, "/s" or " s"; "" where a unit is not known."""
+        units = self.unit(actuated), self.unit(measured)
+        return f"[{units[0]}/({units[1]}){time}]" if all(units) else ""
 
     # ---- frozen ---------------------------------------------------------------------------------------------------------
 
@@ -157,12 +168,12 @@ class ScheduledPID:
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
         return {
             "kind": KIND,
-            "law": "u = u0 + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf",
+            "law": LAW,
             "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
             "references": list(self.references), "schedule": self.schedule, "span": finite(self.span),
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
-            "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup),
+            "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
         }  # fmt: skip
 
     @classmethod
@@ -176,7 +187,7 @@ class ScheduledPID:
             c=content["c"], low=unlimited(content["low"], -np.inf), high=unlimited(content["high"], np.inf),
             rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
-            schedule=content["schedule"], name=content["name"],
+            schedule=content["schedule"], name=content["name"], units=dict(content.get("units", {})),
             span=np.append(unlimited(span[:1], -np.inf), unlimited(span[1:], np.inf)),
         )  # fmt: skip
 

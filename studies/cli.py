@@ -163,10 +163,25 @@ def parser() -> argparse.ArgumentParser:
         help="nmpc: real-time-iteration (default), or ipopt (slow)",
     )
     sub.add_argument("--horizon", type=int, default=20, metavar="N", help="mpc, nmpc: samples that it looks ahead (default 20)")
-    sub.add_argument("--move", type=float, default=0.003, metavar="W", help="mpc, nmpc: price of moving a command (default 0.003)")
+    sub.add_argument(
+        "--move", type=float, default=0.003, metavar="W", help="mpc, nmpc: price of moving a command (default 0.003)"
+    )
     sub.add_argument("--keep", action="append", default=[], metavar="Y=A:B,..", help="mpc, nmpc: outputs to keep between A and B")
     sub.add_argument("--fallback", metavar="FILE", help="mpc, nmpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
+
+    sub = command(
+        "export",
+        "write a controller as source text or as tables for another program",
+        "examples:\n  workbench export scheduled-pid.json --to c --name web_pid\n  workbench export scheduled-pid.json --to st\n"
+        "  workbench export mpc.json --to json",
+    )
+    sub.add_argument("controller", metavar="CONTROLLER", help="controller file written by design")
+    sub.add_argument(
+        "--to", required=True, metavar="FORM", help="c (C99), st (IEC 61131-3), csv (gains), or json (gains, matrices of an MPC)"
+    )
+    sub.add_argument("--name", metavar="NAME", help="c, st: name of the functions or the block (default: from the law's name)")
+    sub.add_argument("--float", action="store_true", help="c: single precision instead of double")
 
     sub = command(
         "effects",

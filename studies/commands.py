@@ -28,7 +28,7 @@ def run(options: Namespace) -> int:
     check_file(options.json, "--json")
     commands = {
         "simulate": simulate, "identify": identify, "compare": compare, "calibrate": calibrate, "diagnose": diagnose,
-        "design": design, "effects": effects, "doctor": doctor, "study": study,
+        "design": design, "export": export, "effects": effects, "doctor": doctor, "study": study,
     }  # fmt: skip
     return commands[options.command](options)
 
@@ -167,6 +167,13 @@ def design(options: Namespace) -> int:
     from studies.design import design as run_design
 
     return run_design(options, say, progress)
+
+
+def export(options: Namespace) -> int:
+    """Write a controller for another program."""
+    from studies.exports import export as run_export
+
+    return run_export(options, say)
 
 
 # ---- identify and compare -----------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from controllers.export import write_gain_table
+from controllers.export import gain_csv
 from controllers.files import load_controller, save_controller
 from controllers.mpc import default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
@@ -43,7 +43,7 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     bounds = found.bounds
     folder = run_folder(options.out, "design")
     path = save_controller(found.law, folder / f"{kind}.json")
-    write_gain_table(found.law, folder / "gains.csv", _channels(model))
+    write_text(folder / "gains.csv", gain_csv(found.law))
     over = found.margins
     if kind == "pid" and model.schedule is not None:
         over = margins_of(found.law, model, list(np.linspace(model.span[0], model.span[1], 25)), bounds, found.scale)
@@ -126,10 +126,6 @@ def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PID
         model, knots=_knots(options, kind, model), bounds=bounds, structure=structure,
         setpoint=_setpoint(options.setpoint, model), robust_to=[load_model(path) for path in options.robust_to], say=progress,
     )  # fmt: skip
-
-
-def _channels(model: LPVModel) -> tuple:
-    return (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))
 
 
 def _bounds(options: Namespace) -> Bounds:

@@ -47,6 +47,7 @@ def web_winding_loops(plant: Plant = WEB_WINDING) -> ScheduledPID:
         Ki=np.array([0.050, -0.020]),
         u0=np.array([u0[1], u0[0]]),
         name="pi-loops",
+        units={c.name: c.unit for c in (*plant.inputs, *plant.outputs)},
     )
 
 

@@ -22,6 +22,11 @@ def versions() -> dict[str, str]:
     return found
 
 
+def program() -> str:
+    """Name and version of this program, for files that are read by others."""
+    return f"{PACKAGES[0]} {versions()[PACKAGES[0]]}"
+
+
 def provenance(configuration: Mapping[str, Any], files: Iterable[str | Path] = (), seed: int | None = None) -> dict[str, Any]:
     """Configuration as given, SHA-256 of every data file, seed and versions. Files of one name go by their whole path."""
     paths = [Path(path) for path in files]

@@ -72,7 +72,7 @@ class InCVXPY:
             self.A[i].value, self.B[i].value, self.C[i].value = along.matrices(i)
         self.C[N].value = along.matrices(N)[2]
         xt, ut, yt = target
-        L = np.linalg.cholesky(self.own._terminal_cost(along.path[-1])).T
+        L = np.linalg.cholesky(self.own.terminal_cost(along.path[-1])).T
         self.x0.value, self.last.value, self.r.value, self.L.value = z[:7], last, yt, L
         self.push.value, self.end.value = along.pushed(np.tile(z[7:], (N, 1))), L @ np.concatenate([xt, ut])
         self.problem.solve(solver=cp.CLARABEL)
@@ -134,7 +134,7 @@ def test_condensing_alone():
     z, last, r, rho = next(cases(controller))
     along = module._Along(controller, controller._path(rho, 1e-3))
     rest = (np.zeros((N, 7)), np.zeros((N + 1, 2)), z[:7].copy(), np.tile(r, (N + 1, 1)), last, np.zeros(7), np.zeros(2))
-    weights = (controller._Q, controller._S, controller._R, controller._terminal_cost(rho))
+    weights = (controller._Q, controller._S, controller._R, controller.terminal_cost(rho))
     seconds = []
     for _ in range(2000):
         begin = time.perf_counter()

@@ -149,7 +149,7 @@ def stated_in_cvxpy(controller, state, z, r, path):
         y = model.freeze(path[i + 1])[2] @ x[i + 1] + [5.0, 1.0]
         limits += [y - s <= controller.y_high, y + s >= controller.y_low]
         before = u[i]
-    L = np.linalg.cholesky(controller._terminal_cost(path[-1]))
+    L = np.linalg.cholesky(controller.terminal_cost(path[-1]))
     cost += cp.sum_squares(L.T @ cp.hstack([x[N] - xt, u[N - 1] - ut]))
     penalty = price * (np.sqrt(w.outputs) @ s + 0.5 * w.outputs @ cp.square(s))
     cp.Problem(cp.Minimize(0.5 * cost + penalty), limits).solve(solver=cp.CLARABEL)
