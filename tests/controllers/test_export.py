@@ -258,15 +258,6 @@ def test_two_states_run_two_loops(tmp_path):
 # ---- the texts -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", ["span within the knots, clamping", "shares of bells and a constant", "fixed 1x1"])
-def test_a_grammar_of_others_reads_the_structured_text(key):
-    blark = pytest.importorskip("blark", reason="pip install blark: a grammar of IEC 61131-3 that is not ours")
-    text = st_code(LAWS[key], "law_1")
-    block = blark.parse_source_code(text).transform().items[0]
-    declared = [str(item.variables[0].name) for own in block.declarations for item in own.items]
-    assert declared == [v for v in re.findall(r"^    (\w+) : ", text, re.MULTILINE)]
-
-
 def test_texts_are_reproducible_and_say_what_they_are():
     law = drawn(1, 2, 3, KNOTS, 3, units=UNITS)
     header, source = c_code(law, "web")

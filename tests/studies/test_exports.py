@@ -67,7 +67,7 @@ def test_an_mpc_is_its_matrices_and_its_fallback_law(tmp_path, capsys):
     capsys.readouterr()
     files = exported(tmp_path, controller, "--to", "st", "--name", "reserve")[1]
     assert files["reserve.st"] == st_code(fallback, "reserve")
-    assert "an MPC needs a solver: this is pid, the law that it falls back on" in capsys.readouterr().out
+    assert "mpc needs a solver: this is pid, the law that it falls back on" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
