@@ -475,21 +475,14 @@ def _pictures(folder: Path, bench: Bench, case: Case, seed: int) -> tuple[Pictur
         runs[law] = _truth(bench, run.states.values) | {name: run.experiment[name] for name in controller.actuated}
     if not runs:
         return ()
-    some = next(iter(runs.values()))
+    inputs = [name for name in bench.plant.input_names if name in next(iter(runs.values()))]
     t = bench.plant.dt * np.arange(len(next(iter(case.references.values()))))
     keep = (t >= case.shown[0]) & (t <= case.shown[1])
-    outputs = {
-        name: figures.Followed(
-            channels[name], case.references[f"{name}_set"][keep], {law: y[name][keep] for law, y in runs.items()}
-        )
-        for name in bench.words
-    }
-    commands = {
-        name: figures.Followed(channels[name], None, {law: y[name][keep] for law, y in runs.items()})
-        for name in some
-        if name in bench.plant.input_names
-    }
-    return (figures.closed_loop(f"{case.name}, {bench.plant.name}", t[keep], [*outputs.values(), *commands.values()]),)
+    shown = []
+    for name in (*bench.words, *inputs):
+        setpoint = case.references[f"{name}_set"][keep] if name in bench.words else None
+        shown.append(figures.Followed(channels[name], setpoint, {law: y[name][keep] for law, y in runs.items()}))
+    return (figures.closed_loop(f"Run, {case.name}", t[keep], shown),)
 
 
 def _designs(folder: Path, machine: str) -> tuple[Block, ...]:

@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
-from controllers.pid_design import Structure, design_pid, margins_of
+from controllers.pid_design import Structure, design_pid, loops_of, margins_of
 from controllers.tuning import Bounds
 from workbench.data import Channel
 from workbench.errors import InputError
@@ -136,3 +137,13 @@ def test_bad_models_and_options_are_refused():
         design_pid(machine(), knots=1, setpoint=(1.0, 2.0, 3.0))
     with pytest.raises(InputError, match="other inputs, outputs or sample time"):
         design_pid(machine(), knots=1, robust_to=(replace(machine(), dt=0.2),))
+
+
+def test_opened_loops_belong_to_the_sensitivities(designed):
+    """L_i = 1 / S_ii - 1, S by python-control on the loop broken at the plant input."""
+    omega, rho = np.array([0.1, 1.0, 5.0]), 1.3
+    plant, law = machine().to_control(rho), designed.law.at(rho)
+    own = control.StateSpace(law.A, -law.B[:, 2:], law.C, -law.D[:, 2:], DT)
+    S = control.feedback(control.StateSpace([], [], [], np.eye(2), DT), own * plant)
+    expected = [1.0 / np.diag(S(np.exp(1j * w * DT))) - 1.0 for w in omega]
+    np.testing.assert_allclose(loops_of(designed.law, machine(), rho, omega), expected, rtol=1e-9)
