@@ -2,6 +2,7 @@
 times taken side by side in one run, at horizon 20. pytest -m bench"""
 
 import time
+from dataclasses import replace
 
 import cvxpy as cp
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from controllers import mpc as module
 from controllers.condensing import condense
 from controllers.mpc import MPC, design_mpc
+from controllers.nmpc import Ipopt, design_nmpc
 from controllers.pid import pid
 from controllers.receding import Weights, solved_by_daqp
+from plants import WEB_WINDING
 from workbench.data import Channel
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
 
@@ -141,3 +144,79 @@ def test_condensing_alone():
         condense(along.M, 7, 2, 2, *rest, *weights)
         seconds.append(time.perf_counter() - begin)
     print(f"\ncondensing: median {np.median(seconds) * 1e6:.0f} us")
+
+
+def in_do_mpc(controller: MPC, rho: float):
+    """Its nearest equivalent: model frozen at rho, bounds of the commands, soft limits of the outputs; no limit of the rate."""
+    do_mpc = pytest.importorskip("do_mpc", reason="pip install do-mpc")
+    import casadi as ca
+
+    along, w = module._Along(controller, np.full(N + 1, rho)), controller.weights
+    A, B, C = along.matrices(0)
+    stated = do_mpc.model.Model("discrete")
+    x, u = stated.set_variable("_x", "x", (7, 1)), stated.set_variable("_u", "u", (2, 1))
+    stated.set_variable("_p", "r", (2, 1))
+    d = stated.set_variable("_p", "d", (2, 1))
+    stated.set_rhs("x", ca.DM(A) @ x + ca.DM(B) @ (u + d))
+    stated.setup()
+    y, r = ca.DM(C) @ stated.x["x"], stated.p["r"]
+    theirs = do_mpc.controller.MPC(stated)
+    theirs.settings.n_horizon, theirs.settings.t_step, theirs.settings.store_full_solution = N, DT, False
+    theirs.settings.supress_ipopt_output()
+    cost = ca.sum1(ca.DM(w.outputs) * (y - r) ** 2)
+    theirs.set_objective(mterm=cost, lterm=cost)
+    theirs.set_rterm(u=w.moves)
+    theirs.bounds["lower", "_u", "u"], theirs.bounds["upper", "_u", "u"] = controller.low, controller.high
+    for i in range(2):
+        for name, sign in (("high", 1.0), ("low", -1.0)):
+            limit = sign * (controller.y_high if name == "high" else controller.y_low)[i]
+            price = {"penalty_term_cons": w.violation, "soft_constraint": True}
+            theirs.set_nl_cons(f"{name}{i}", sign * y[i], ub=float(limit), **price)
+    now = theirs.get_p_template(1)
+    theirs.set_p_fun(lambda _: now)
+    theirs.setup()
+    return theirs, now
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_whole_step_against_do_mpc_with_ipopt():
+    controller = law()
+    theirs, now = in_do_mpc(controller, 0.5)
+    ours, peer = [], []
+    for n, (z, last, r, _) in enumerate(cases(controller)):
+        state = controller.init(last)._replace(z=z)
+        begin = time.perf_counter()
+        controller.step(state, r, np.full(2, np.nan), 0.5)
+        ours.append(time.perf_counter() - begin)
+        if n % 10:
+            continue
+        now["_p", 0, "r"], now["_p", 0, "d"] = r, z[7:]
+        theirs.x0, theirs.u0 = z[:7], last
+        theirs.set_initial_guess()
+        start = time.perf_counter()
+        theirs.make_step(z[:7].reshape(-1, 1))
+        if n:
+            peer.append(time.perf_counter() - start)
+        assert theirs.solver_stats["success"]
+    own, other = 1e3 * np.median(ours[1:]), 1e3 * np.median(peer)
+    print(f"\nwhole step {own:.2f} ms, do-mpc with IPOPT {other:.1f} ms: {other / own:.0f} times as fast")
+    assert other > 20.0 * own
+
+
+def test_a_real_time_iteration_against_ipopt_on_the_winding_machine():
+    names = ("V1", "V2"), ("w3", "theta"), ("w3_set", "theta_set")
+    fallback = pid(*names, 0.04, [0.0, 0.0], [0.1, 0.1], low=-2.0, high=5.0)
+    ours = design_nmpc(WEB_WINDING, fallback)
+    theirs, random = replace(ours, solver=Ipopt()), np.random.default_rng(4)
+    x, u = WEB_WINDING.equilibrium()
+    own, peer = [], []
+    for k in range(11):
+        at, r = x * (1.0 + 0.02 * random.normal(size=7)), np.tile([100.0, 0.0] + random.normal(size=2) * [10.0, 3.0], (N, 1))
+        for law, seconds in ((ours, own), (theirs, peer)):
+            begin = time.perf_counter()
+            found, _ = law._planned(law.init(u), at, np.zeros(2), r)
+            if k:  # the first solve builds the program
+                seconds.append(time.perf_counter() - begin)
+            assert found is not None
+    print(f"\none iteration {1e3 * np.median(own):.1f} ms, IPOPT {1e3 * np.median(peer):.0f} ms")
+    assert np.median(peer) > 20.0 * np.median(own)
