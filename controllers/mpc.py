@@ -109,6 +109,10 @@ class MPC(Receding):
     def schedule(self) -> str | None:
         return self.model.schedule.name if self.model.schedule else None
 
+    def outside(self, rho: np.ndarray) -> float:
+        """How far a schedule leaves what the model knows, in widths of that; 0 inside."""
+        return self.model.outside(rho)
+
     def init(self, u: np.ndarray | None = None) -> MPCState:
         """Before the first sample; u: the command that it takes over from, else that of the model's operating point."""
         held = self.operating(np.array([np.mean(self.model.span)]))[0][0] if u is None else np.asarray(u, dtype=float)

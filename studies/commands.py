@@ -16,10 +16,11 @@ from studies.results import Result, scores_file
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
-from workbench.physics.controller import Controller
+from workbench.physics.controller import Loop
 from workbench.provenance import provenance
 from workbench.readers import check_units, read, read_all, write_csv
 
+MUCH = 0.02  # of the width of a schedule range, by which a record may leave it unsaid
 INTERVAL = "interval"  # the model kind beside the methods of `workbench.identify`
 
 
@@ -106,6 +107,9 @@ def simulate(options: Namespace) -> int:
             entry["scores"] = _replay_scores(plant, record, done.experiment)
         elif own_law:
             entry["tracking"] = _loop_scores(own_law, done.experiment)
+            schedule = own_law.schedule
+            if schedule and (beyond := own_law.outside(done.experiment[schedule])) > MUCH:
+                say(f"  {schedule} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
             if done.memories:
                 entry["statuses"] = _statuses(done.memories)
         summary.append(entry)
@@ -129,7 +133,7 @@ def _statuses(memories: Sequence[Any]) -> dict[str, int]:
     return dict(found)
 
 
-def _loop_scores(law: Controller, run: Experiment) -> list[dict[str, Any]]:
+def _loop_scores(law: Loop, run: Experiment) -> list[dict[str, Any]]:
     """How well each measured output followed its set-point."""
     scores = []
     for measured, reference in zip(law.measured, law.references, strict=False):
@@ -354,7 +358,7 @@ def _scores(model, estimation: Dataset | None, held_out: Dataset | None, steps: 
     if held_out is not None:
         scores += score(model, held_out, "held-out", horizons)
         for e in held_out:
-            if model.schedule and (beyond := model.outside(e[model.schedule.name])) > 0.02:
+            if model.schedule and (beyond := model.outside(e[model.schedule.name])) > MUCH:
                 say(
                     f"warning: {model.name} on {e.name}: {model.schedule.name} leaves the range the model knows, "
                     f"{model.span[0]:g} to {model.span[1]:g} {model.schedule.unit}, by {100 * beyond:.0f} % of it; "

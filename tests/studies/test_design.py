@@ -219,3 +219,19 @@ def test_a_controller_file_never_runs_code_of_its_own(folder, tmp_path, capsys):
     options = ["--experiment", "ramp", "--controller", str(tmp_path / "nmpc.json"), "--out", str(tmp_path / "run")]
     assert main(["simulate", "web-winding", *options]) == 2
     assert "evil.py:PLANT, which is no machine of the workbench" in capsys.readouterr().err
+
+
+def test_a_schedule_beyond_the_law_is_said(tmp_path, capsys):
+    loops = web_winding_loops()
+    twice = {key: np.repeat(getattr(loops, key), 2, axis=0) for key in ("Kp", "Ki", "Kd", "u0")}
+    for name, span in (("wide", (0.011, 0.0264)), ("narrow", (0.011, 0.02))):
+        own = replace(loops, **twice, schedule="r2", span=np.array(span), basis=PiecewiseLinear(span))
+        save_controller(own, tmp_path / f"{name}.json")
+        options = ["--experiment", "ramp", "--controller", str(tmp_path / f"{name}.json"), "--out", str(tmp_path / name)]
+        assert main(["simulate", "web-winding", *options]) == 0
+    said = capsys.readouterr().out
+    assert said.count("left the range that the law was made for") == 1
+    beyond = float(said.partition("was made for by ")[2].partition("%")[0])
+    with open(tmp_path / "narrow" / "ramp.csv") as stream:
+        largest = max(float(row["r2 [m]"]) for row in csv.DictReader(stream))
+    assert beyond == pytest.approx(100.0 * (largest - 0.02) / 0.009, abs=1.0)
