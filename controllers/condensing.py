@@ -167,6 +167,6 @@ def kept(A, x, lower, upper, slack):
             for j in range(len(x)):
                 value += A[i - bounds, j] * x[j]
         room = slack * (1.0 + abs(value))
-        if not (value <= upper[i] + room and value >= lower[i] - room):
+        if not np.isfinite(value) or not (value <= upper[i] + room and value >= lower[i] - room):
             return False
     return True

@@ -38,5 +38,5 @@ def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None 
         raise InputError(reason.problem, file=path, channel=reason.channel, mend=reason.mend) from None
     except KeyError as reason:
         raise InputError(f"field {reason.args[0]!r} is missing", file=path, mend="design the controller again") from None
-    except (TypeError, ValueError) as reason:
+    except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as reason:
         raise InputError(f"malformed controller: {reason}", file=path, mend="design the controller again") from None

@@ -233,6 +233,14 @@ class MPC(Receding):
         return np.array([term.function for term in self.model.terms])
 
     @cached_property
+    def _delays(self) -> np.ndarray:
+        return np.array([term.delay for term in self.model.terms])
+
+    @cached_property
+    def _latest(self) -> int:
+        return int(self._delays.max())
+
+    @cached_property
     def terminal(self) -> tuple[np.ndarray, np.ndarray]:
         """Schedule values, and there the cost of the regulator on (x, last command)."""
         low, high = self.model.span
@@ -271,7 +279,11 @@ class _Along:
     def __init__(self, law: MPC, path: np.ndarray):
         self.path, self.at_inputs = path, law.observer.at_inputs
         self.nx, self.nu, self.ny = law.model.order, len(law.actuated), len(law.measured)
-        self.M = law.model.basis(path)[:, law._functions] @ law._flat
+        # a term may see the schedule some samples late: before now it came the way it goes on
+        before = path[0] - (path[1] - path[0]) * np.arange(law._latest, 0, -1)
+        phi = law.model.basis(np.concatenate([np.clip(before, *law.model.span), path]))
+        late = np.arange(len(path))[:, None] + law._latest - law._delays
+        self.M = phi[late, law._functions] @ law._flat
         self.u0, self.y0 = law.operating(path)
 
     def matrices(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

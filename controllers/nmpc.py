@@ -24,7 +24,6 @@ import numpy as np
 from controllers.plant_observer import Belief, PlantObserver, SampledPlant
 from controllers.receding import TINY, UNPLANNED, Plan, Program, Receding, Status, Weights
 from controllers.scheduled_pid import ScheduledPID, finite, unlimited
-from workbench.data import SAME_DT
 from workbench.errors import InputError, check_known
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
@@ -93,15 +92,12 @@ class NMPC(Receding):
         for name in self.controlled:
             check_known("output", name, self.plant.output_names, file=self.plant.name)
         self.check(self.actuated, self.controlled)
-        if abs(self.fallback.dt - self.dt) > SAME_DT * self.dt:
-            raise InputError(
-                f"the fallback law runs every {self.fallback.dt:g} s, {self.plant.name} is sampled every {self.dt:g} s",
-                file=self.name, mend="design it on a model of records sampled so",
-            )  # fmt: skip
         if self.fallback.schedule is not None:
             check_known("schedule of the fallback law", self.fallback.schedule, self.plant.output_names, file=self.plant.name)
-        if isinstance(self.solver, RealTimeIteration) and self.solver.steps < 1:
-            raise InputError(f"{self.solver.steps} steps a sample", file=self.name, mend="at least one")
+        if isinstance(self.solver, RealTimeIteration) and (not isinstance(self.solver.steps, int) or self.solver.steps < 1):
+            raise InputError(f"{self.solver.steps} steps a sample", file=self.name, mend="a whole number, at least one")
+        if np.any(self.weights.inputs):
+            raise InputError("no steady input is known to stay near to", file=self.name, mend="leave the weights of inputs at 0")
         _ = self.observer.model.step  # a plant that cannot be predicted is refused here, not at the first sample
 
     # ---- what a loop needs to know ----------------------------------------------------------------------------------------
@@ -174,14 +170,17 @@ class NMPC(Receding):
         y = np.asarray(y, dtype=float)
         by_name = dict(zip(self.measured, y, strict=True))
         seen = np.array([by_name[name] for name in self.plant.output_names])
-        belief = self.observer.first(seen) if state.belief is None else state.belief
+        belief = state.belief
+        if belief is None or not np.isfinite(belief.z).all():  # a reading far off the machine may have thrown it
+            belief = self.observer.first(seen)
         belief = self.observer.corrected(belief, seen)
         nx, ny = len(self.plant.states), len(self.controlled)
         x, d = belief.z[:nx], belief.z[nx:]
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, ny))
         wanted = np.where(np.isfinite(wanted), wanted, self._outputs(x[:, None])[0])  # no set-point: stay where it is
         found, status = self._planned(state, x, d, wanted)
-        schedule = None if self.fallback.schedule is None else by_name[self.fallback.schedule]
+        expected = dict(zip(self.plant.output_names, np.array(self.observer.model.seen(x)[0]).ravel(), strict=True))
+        schedule = None if self.fallback.schedule is None else float(expected[self.fallback.schedule])
         u, plan = self._acted(state.u, state.plan, found, status, wanted[0], y[:ny], schedule)
         return u, NMPCState(self.observer.moved(belief, u), u, plan)
 
@@ -195,13 +194,17 @@ class NMPC(Receding):
             if found is not None:
                 return found, Status.OPTIMAL
             return self._newton(state.u, x, d, r, plan)[0], Status.SECOND_SOLVER
-        status = Status.OPTIMAL
+        found, statuses = None, []
         for _ in range(self.solver.steps):
-            found, status = self._newton(state.u, x, d, r, plan)
-            if found is None:
-                return None, status
-            plan = found
-        return plan, status
+            better, status = self._newton(state.u, x, d, r, plan)
+            if better is None:
+                break  # what was found before is still a plan
+            found = plan = better
+            statuses.append(status)
+        if found is None:
+            return None, Status.FALLBACK
+        whole = len(statuses) == self.solver.steps and all(status is Status.OPTIMAL for status in statuses)
+        return found, Status.OPTIMAL if whole else Status.SECOND_SOLVER
 
     # ---- the real-time iteration ----------------------------------------------------------------------------------------
 

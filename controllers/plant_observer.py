@@ -16,10 +16,12 @@ import casadi as ca
 import numpy as np
 
 from workbench.errors import InputError, check_known
+from workbench.physics.effects.effect import FOREVER
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 FAST = 1.0  # step length of the integrator times the fastest mode
+OUTSIDE = ("actuator", "sensor")  # families that act outside of the equation
 GUESSED = 0.05  # relative standard deviation of a start value
 SETTLED = 50  # samples after which an input has done most of what it does
 
@@ -53,14 +55,30 @@ class SampledPlant:
 
     @property
     def unpredicted(self) -> list[str]:
-        """Effects of the plant that need more than its states: a memory, an angle, an actuator or a sensor."""
-        eta, neutral = self.plant.effect_vector(), self.plant.neutral
-        on = {slot.key: slot for slot, now, none in zip(self.plant.slots, eta, neutral, strict=True) if now != none}
-        return [
-            key
-            for key, slot in on.items()
-            if slot.effect.state or slot.effect.memories or slot.effect.phase or slot.effect.family in ("actuator", "sensor")
-        ]
+        """Effects of the plant that need more than its states and commands: a memory, an angle, the time, another input."""
+        plant = self.plant
+        alone: dict[str, np.ndarray] = {}
+        for i, (slot, value, neutral) in enumerate(zip(plant.slots, plant.effect_vector(), plant.neutral, strict=True)):
+            if value != neutral:
+                alone.setdefault(slot.key, plant.neutral.copy())[i] = value
+        effects = {slot.key: slot.effect for slot in plant.slots}
+        apart = {key for key in alone if effects[key].memories or effects[key].state or effects[key].family in OUTSIDE}
+        bare = self._beyond(plant.neutral)
+        return [key for key, eta in alone.items() if key in apart or not np.array_equal(self._beyond(eta), bare)]
+
+    def _beyond(self, eta: np.ndarray) -> np.ndarray:
+        """What later times, other angles, inner states and inputs that are not commanded change in the rates, effects apart."""
+        x, u = self.start
+        moved, other = x + 0.1 * np.maximum(np.abs(x), 0.1), u.copy()
+        other[[i for i in range(len(u)) if i not in self.at]] += 1.0
+        sizes = [len(names) for names in (self.plant.turning, self.plant.inner, self.plant.swinging)]
+
+        def rates(inputs: np.ndarray, t: float, value: float) -> np.ndarray:
+            angle, inner, rate = (np.full(n, value) for n in sizes)
+            return np.array(self.plant.traced(moved, inputs, self.plant.nominal, eta, angle, t, inner, rate)[0])
+
+        now = rates(u, 0.0, 0.0)
+        return np.concatenate([rates(other, t, 1.0) - now for t in (FOREVER, 1.234)])  # what sets in, and what comes and goes
 
     @property
     def at(self) -> list[int]:

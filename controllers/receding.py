@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from controllers.scheduled_pid import ScheduledPID, check_limits
+from workbench.data import SAME_DT
 from workbench.errors import InputError
 from workbench.records import field, record
 
@@ -85,8 +86,13 @@ class Receding:
 
     def check(self, actuated: Sequence[str], controlled: Sequence[str]) -> None:
         """Refuse a horizon, limits or a fallback law that do not fit channels of these names."""
-        if self.horizon < 1:
-            raise InputError(f"horizon {self.horizon}", file=self.name, mend="at least one sample; 10 to 40 are usual")
+        if not isinstance(self.horizon, int) or isinstance(self.horizon, bool) or self.horizon < 1:
+            raise InputError(f"horizon {self.horizon}", file=self.name, mend="a whole number of samples; 10 to 40 are usual")
+        if abs(self.fallback.dt - self.dt) > SAME_DT * self.dt:
+            raise InputError(
+                f"the fallback law runs every {self.fallback.dt:g} s, this one every {self.dt:g} s",
+                file=self.name, mend="design it on a model of records sampled so",
+            )  # fmt: skip
         for channels, low, high in ((actuated, self.low, self.high), (controlled, self.y_low, self.y_high)):
             check_limits(self.name, channels, low, high)
         if (self.fallback.actuated, self.fallback.measured) != (tuple(actuated), tuple(controlled)):
@@ -115,17 +121,19 @@ class Receding:
         rho: float | None,
     ) -> tuple[np.ndarray, Plan]:
         """The command of this sample from what was found, if anything, and what to remember; last: the command before."""
-        age, law = 0, None
-        if found is None and before.age + 1 < len(before.commands):
-            found, status, age = before.commands, Status.LAST_PLAN, before.age + 1
+        (low, *_), (high, *_) = self._reach(last)
         if found is not None:
-            u = found[age]
-        else:
-            law = self.fallback.init(last) if before.law is None else before.law
-            u, law = self.fallback.step(law, r, np.where(np.isfinite(y), y, r), rho)
-            found, status = UNPLANNED.commands, Status.FALLBACK
-        low, high = self._reach(last)
-        return np.clip(u, low[0], high[0]), Plan(found, age, status, law)
+            return np.clip(found[0], low, high), Plan(found, 0, status, None)
+        if before.age + 1 < len(before.commands):
+            age = before.age + 1
+            return np.clip(before.commands[age], low, high), Plan(before.commands, age, Status.LAST_PLAN, None)
+        law = self.fallback.init(last) if before.law is None else before.law
+        y = np.where(np.isfinite(y), y, r)
+        wanted, after = self.fallback.step(law, r, y, rho)
+        u = np.clip(np.where(np.isfinite(wanted), wanted, last), low, high)
+        if not np.array_equal(u, wanted):  # its integral is to follow what was commanded
+            after = self.fallback.follow(law, u, r, y, rho)
+        return u, Plan(UNPLANNED.commands, 0, Status.FALLBACK, after if np.isfinite(after).all() else None)
 
     def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest commands (N, nu): the limits, or where the rate lets one come from outside of them."""

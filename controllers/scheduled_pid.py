@@ -62,7 +62,7 @@ class ScheduledPID:
     actuated: tuple[str, ...]
     measured: tuple[str, ...]
     references: tuple[str, ...]
-    dt: float = field("", unit="s", low=1e-9)
+    dt: float = field("", unit="s", low=1e-9, high=FAR)
     Kp: np.ndarray = field("m nu ny", low=-FAR, high=FAR)
     Ki: np.ndarray = field("m nu ny", unit="1/s", low=-FAR, high=FAR)
     Kd: np.ndarray = field("m nu ny", unit="s", low=-FAR, high=FAR)
@@ -72,7 +72,7 @@ class ScheduledPID:
     low: np.ndarray = field("nu")
     high: np.ndarray = field("nu")
     rate: np.ndarray = field("nu", unit="1/s", low=1e-300)
-    Tf: float = field("", unit="s", low=0.0)
+    Tf: float = field("", unit="s", low=0.0, high=FAR)
     anti_windup: AntiWindup = field(default_factory=BackCalculation)
     basis: Basis = CONSTANT
     schedule: str | None = None
