@@ -212,8 +212,20 @@ def loops_of(law: ScheduledPID, model: LPVModel, rho: float | None, omega: np.nd
 
 
 def _interface(model: LPVModel) -> tuple:
-    """What two models must share for one law: channels with their units, and the sample time."""
-    return [str(c) for c in model.inputs], [str(c) for c in model.outputs], model.dt
+    """What two models must share for one law: channels with their units, the schedule among them, and the sample time."""
+    return [str(c) for c in model.inputs], [str(c) for c in model.outputs], str(model.schedule), model.dt
+
+
+def worst_margins(
+    law: ScheduledPID, models: Sequence[LPVModel], rhos: Sequence[float | None], bounds: Bounds, scale: np.ndarray | None = None
+) -> Margins:
+    """The worst of all models at every schedule value, and the frequencies of each peak's own model."""
+    each = [margins_of(law, model, rhos, bounds, scale) for model in models]
+    high = {key: np.max([getattr(m, key) for m in each], axis=0) for key in PEAKS}
+    worst = np.argmax([[getattr(m, key) for key in PEAKS[:3]] for m in each], axis=0)  # (3, n): whose peak it is
+    frequencies = np.take_along_axis(np.stack([m.frequencies for m in each]), worst.T[None], axis=0)[0]
+    bandwidth = np.min([m.bandwidth for m in each], axis=0)
+    return Margins(rho=each[0].rho, bandwidth=bandwidth, frequencies=frequencies, **high)
 
 
 def _knots(model: LPVModel, knots: int | Sequence[float]) -> np.ndarray:
@@ -252,7 +264,7 @@ class _Plan:
         self.model, self.models, self.grid, self.structure, self.bounds = model, models, grid, structure, bounds
         for other in models:
             if _interface(other) != _interface(model):
-                raise InputError("other inputs, outputs or sample time than the first model", file=other.name)
+                raise InputError("other inputs, outputs, schedule or sample time than the first model", file=other.name)
         self.fixed = len(grid) == 1
         middle = np.array([self.frozen(model, rho, np.ones(len(model.outputs))).gain for rho in grid]).mean(axis=0)
         self.scale = np.linalg.norm(middle, axis=1) if scale is None else np.asarray(scale, dtype=float)
@@ -353,11 +365,7 @@ class _Plan:
 
     def margins(self, law: ScheduledPID, rhos: np.ndarray) -> Margins:
         """The worst of all models at every schedule value."""
-        each = [margins_of(law, model, self._at(model, rhos), self.bounds, self.scale) for model in self.models]
-        high = {key: np.max([getattr(m, key) for m in each], axis=0) for key in PEAKS}
-        worst = np.argmax([[getattr(m, key) for key in PEAKS[:3]] for m in each], axis=0)  # (3, n): whose peak it is
-        frequencies = np.take_along_axis(np.stack([m.frequencies for m in each]), worst.T[None], axis=0)[0]
-        return Margins(rho=rhos, bandwidth=np.min([m.bandwidth for m in each], axis=0), frequencies=frequencies, **high)
+        return worst_margins(law, self.models, self._at(self.model, rhos), self.bounds, self.scale)
 
     def _at(self, model: LPVModel, rhos: np.ndarray) -> list[float | None]:
         return [None if model.schedule is None else float(rho) for rho in rhos]

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from controllers.files import load_controller, save_controller
+from controllers.pid_design import worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
-from studies.loops import Bench, Case, benches
+from studies.design import POINTS, design_pictures
+from studies.loops import Bench, Case, Designed, benches
 from studies.table import made, whole_rows
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
@@ -27,7 +29,7 @@ from workbench.provenance import provenance, versions
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
-from workbench.simulate import simulate
+from workbench.simulate import LeftRangeError, simulate
 
 Say = Callable[[str], None]
 Row = dict[str, Any]
@@ -61,7 +63,7 @@ def main(
     rows = _run(folder, every, [seed + k for k in range(count)], jobs, progress)
     found = {name: _summed(bench, [row for row in rows if row["machine"] == name]) for name, bench in every.items()}
     source = provenance({"study": "controller-comparison", "seeds": count, "quick": quick}, [folder / "runs.jsonl"], seed)
-    said = {name: verdict(every[name], own) for name, own in found.items()}
+    said = {name: verdict(every[name], own, _design_note(folder, name)["sensitivity"]) for name, own in found.items()}
     content = {"summary": found, "verdicts": said, "provenance": source}
     for path in (folder / "summary.json", json):
         if path:
@@ -81,6 +83,8 @@ def _prepared(folder: Path, every: Mapping[str, Bench], quick: bool, seed: int, 
     content = {"seed": seed, "quick": quick, "versions": versions()}
     wanted = hashlib.sha256(plain_json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
     note = folder / "configuration.json"
+    if (folder / "runs.jsonl").exists() and not note.exists():
+        raise InputError("holds runs, and no configuration.json that says of what", file=folder, mend="give a new --out folder")
     if note.exists() and read_json(note).get("configuration") != wanted:
         raise InputError("begun by another version, another --seed or --quick", file=folder, mend="give a new --out folder")
     write_json(note, {"configuration": wanted} | content)
@@ -94,12 +98,19 @@ def _prepared(folder: Path, every: Mapping[str, Bench], quick: bool, seed: int, 
             save_controller(controller, _file(folder, name, law))
         for model, own in designed.models.items():
             own.save(done.parent / f"model-{_stem(model)}.json")
-        margins = {
-            law: {"sensitivity": float(own.margins.sensitivity.max()), "asked": own.bounds.sensitivity}
-            for law, own in designed.pids.items()
-        }
-        laws = {"laws": list(designed.laws), "models": list(designed.models), "pids": margins}
+        laws = {"laws": list(designed.laws), "models": list(designed.models), "sensitivity": _sensitivities(designed)}
         write_json(done, laws | {"seconds": time.perf_counter() - begin})  # last: a design that was cut off is made again
+
+
+def _sensitivities(designed: Designed) -> dict[str, float]:
+    """The largest sensitivity of each PID's frozen loops, over the schedule and all models."""
+    models = list(designed.models.values())
+    span = models[0].span
+    rho = [None] if models[0].schedule is None else list(np.linspace(span[0], span[1], POINTS))
+    found = {}
+    for law, own in designed.pids.items():
+        found[law] = float(worst_margins(own.law, models, rho, own.bounds, own.scale).sensitivity.max())
+    return found
 
 
 def _stem(name: str) -> str:
@@ -115,8 +126,12 @@ def _law(folder: Path, machine: str, law: str) -> Any:
     return load_controller(_file(folder, machine, law), PLANTS.__getitem__)
 
 
+def _design_note(folder: Path, machine: str) -> dict[str, Any]:
+    return read_json(folder / "controllers" / machine / "design.json")
+
+
 def _laws(folder: Path, machine: str) -> list[str]:
-    return read_json(folder / "controllers" / machine / "design.json")["laws"]
+    return _design_note(folder, machine)["laws"]
 
 
 # ---- runs -------------------------------------------------------------------------------------------------------------------
@@ -124,33 +139,54 @@ def _laws(folder: Path, machine: str) -> list[str]:
 
 @record
 class Job:
-    """One run."""
+    """One run; mark: a hash of the law's file and of what happens in the scenario."""
 
     machine: str
     case: str
     law: str
     seed: int
+    mark: str
 
     @property
-    def key(self) -> tuple:
-        return self.machine, self.case, self.law, self.seed
+    def row(self) -> Row:
+        """What names the run in its row."""
+        return dict(vars(self))
 
 
 def _run(folder: Path, every: Mapping[str, Bench], seeds: Sequence[int], jobs: int, progress: Say) -> list[Row]:
     """A row for every machine, scenario, law and seed; those that the folder holds are not run again."""
     table = folder / "runs.jsonl"
+    marks = {
+        (name, case.name, law): _mark(bench, case, _file(folder, name, law))
+        for name, bench in every.items()
+        for case in bench.cases
+        for law in _laws(folder, name)
+    }
     wanted = [
-        Job(name, case.name, law, seed)
+        Job(name, case.name, law, seed, marks[name, case.name, law])
         for seed in seeds
         for name, bench in every.items()
         for case in bench.cases
         for law in _laws(folder, name)
     ]
-    rows = {(row["machine"], row["case"], row["law"], row["seed"]): row for row in whole_rows(table)}
-    for row in made(table, partial(run_job, folder=folder), [job for job in wanted if job.key not in rows], jobs):
-        rows[row["machine"], row["case"], row["law"], row["seed"]] = row
+    rows = {_key(row): row for row in whole_rows(table)}  # of other laws and scenarios too; those are not asked for
+    for row in made(table, partial(run_job, folder=folder), [job for job in wanted if _key(job.row) not in rows], jobs):
+        rows[_key(row)] = row
         progress(_said(row))
-    return [rows[job.key] for job in wanted]
+    return [rows[_key(job.row)] for job in wanted]
+
+
+def _key(row: Row) -> tuple:
+    return tuple(row.get(name) for name in ("machine", "case", "law", "seed", "mark"))
+
+
+def _mark(bench: Bench, case: Case, law: Path) -> str:
+    found = hashlib.sha256(law.read_bytes())
+    for name, values in sorted({**case.references, **case.disturbance}.items()):
+        found.update(name.encode() + np.asarray(values, dtype=float).tobytes())
+    plant = [(q.name, q.value) for q in bench.plant.parameters]
+    found.update(plain_json.dumps([plant, case.effects, bench.keep], sort_keys=True).encode())
+    return found.hexdigest()[:12]
 
 
 def run_job(job: Job, folder: Path) -> Row:
@@ -158,11 +194,10 @@ def run_job(job: Job, folder: Path) -> Row:
     bench = benches()[job.machine]
     case = next(case for case in bench.cases if case.name == job.case)
     law = _law(folder, job.machine, job.law)
-    row: Row = {"machine": job.machine, "case": job.case, "law": job.law, "seed": job.seed}
     try:
-        return row | judged(bench, case, law, job.seed)
-    except InputError as reason:  # the machine left the range in which its equation means something
-        return row | {"fault": str(reason)}
+        return job.row | judged(bench, case, law, job.seed)
+    except LeftRangeError as reason:
+        return job.row | {"fault": str(reason)}
 
 
 def judged(bench: Bench, case: Case, law: Any, seed: int) -> Row:
@@ -179,7 +214,8 @@ def judged(bench: Bench, case: Case, law: Any, seed: int) -> Row:
         errors[name] = {
             "RMS": float(np.sqrt(np.mean(off**2))), "max": float(np.abs(off).max()), "IAE": float(np.sum(np.abs(off)) * plant.dt)
         }  # fmt: skip
-    u = np.column_stack([e[name] for name in law.actuated])
+    held = [plant.equilibrium()[1][plant.input_names.index(name)] for name in law.actuated]
+    u = np.vstack([held, np.column_stack([e[name] for name in law.actuated])])  # the first move is one too
     moves = np.diff(u, axis=0)
     over = np.maximum(u - law.high, law.low - u).max()
     fast = (np.abs(moves) - law.rate * plant.dt).max()
@@ -255,19 +291,23 @@ def _summed(bench: Bench, rows: Sequence[Row]) -> dict[str, Any]:
     laws = list(dict.fromkeys(row["law"] for row in rows))
     by_case = {case.name: {law: _over_seeds(bench, _of(rows, case.name, law)) for law in laws} for case in bench.cases}
     held = [name for name, own in by_case.items() if not any(own[law]["faults"] for law in laws)]
-    whole = {
-        law: {
-            "errors": {
-                name: {"RMS": float(np.sqrt(np.mean([by_case[case][law]["errors"][name]["RMS"]["mean"] ** 2 for case in held])))}
-                for name in bench.words
-            },
-            "violation": max(by_case[case][law]["violation"] for case in held),
-            "faults": sum(own[law]["faults"] for own in by_case.values()),
-            "ms": {key: max(by_case[case][law]["ms"][key] for case in held) for key in ("median", "p99")},
-            "statuses": _added(by_case[case][law]["statuses"] for case in held),
+    if not held:
+        raise InputError(f"{bench.plant.name}: no scenario was held by every law", mend="see the faults in runs.jsonl")
+
+    def pooled(law: str, output: str) -> dict[str, float]:
+        return {"RMS": float(np.sqrt(np.mean([by_case[case][law]["errors"][output]["RMS"]["mean"] ** 2 for case in held])))}
+
+    whole = {}
+    for law in laws:
+        own = [row for row in rows if row["law"] == law]
+        good = [row for row in own if "fault" not in row]
+        whole[law] = {
+            "errors": {name: pooled(law, name) for name in bench.words},
+            "violation": max(row["violation"] for row in good),
+            "faults": len(own) - len(good),
+            "ms": {key: float(np.median([row["ms"][key] for row in good])) for key in ("median", "p99")},
+            "statuses": _added(row["statuses"] for row in good),
         }
-        for law in laws
-    }  # fmt: skip
     return {"seeds": len({row["seed"] for row in rows}), "cases": by_case, "held": held, "whole": whole}
 
 
@@ -313,12 +353,12 @@ def _rms(found: Mapping[str, Any], law: str, output: str, case: str | None = Non
 
 
 def better(bench: Bench, found: Mapping[str, Any], law: str, than: str) -> list[str]:
-    """Scenarios and outputs in which `law` has a larger RMS error than another; empty: it is no worse anywhere."""
+    """Where a law is worse than another: scenarios that it did not hold, outputs with a larger RMS error; empty: nowhere."""
     worse = []
     for case, own in found["cases"].items():
-        if own[law]["faults"] > own[than]["faults"]:
-            worse.append(f"{case} (does not hold)")
-        elif not own[law]["faults"] and not own[than]["faults"]:
+        if own[law]["faults"]:
+            worse.append(f"{case} ({'neither holds' if own[than]['faults'] else 'does not hold'})")
+        elif not own[than]["faults"]:
             for name, word in bench.words.items():
                 ratio = _rms(found, law, name, case) / _rms(found, than, name, case)
                 if ratio > SAME:
@@ -326,7 +366,7 @@ def better(bench: Bench, found: Mapping[str, Any], law: str, than: str) -> list[
     return worse
 
 
-def verdict(bench: Bench, found: Mapping[str, Any]) -> str:
+def verdict(bench: Bench, found: Mapping[str, Any], sensitivity: Mapping[str, float]) -> str:
     """Which controller one should use and why, and what was asked of the comparison and not reached, in plain sentences."""
     laws = list(found["whole"])
     mpc, bound = laws[-2], laws[-1]
@@ -345,25 +385,28 @@ def verdict(bench: Bench, found: Mapping[str, Any]) -> str:
     word = bench.words[bench.quality]
     others = [law for law in laws[:-1] if law != chosen]
     against = " and ".join(f"{cut(chosen, law, bench.quality)} than under the {law}" for law in others)
-    said = [f"{bench.plant.name}: use the {chosen}. Over all scenarios its {word} error (RMS) is {against}."]
+    scenarios = f"the {len(found['cases'])} scenarios"
+    if len(found["held"]) < len(found["cases"]):
+        scenarios = f"the {len(found['held'])} of {len(found['cases'])} scenarios that every law has held"
+    said = [f"{bench.plant.name}: use the {chosen}. Over {scenarios} its {word} error (RMS) is {against}."]
     said.append("RMS errors: " + "; ".join(f"{law}: {numbers(law)}" for law in laws) + ".")
     if broken:
         said.append("Did not hold the machine: " + ", ".join(f"{law} in {faults[law]} runs" for law in broken) + ".")
     if bench.scheduled.startswith("scheduled"):
         rest = ", ".join(f"{bench.words[name]} {cut(bench.scheduled, bench.base, name)}" for name in bench.words)
         said.append(f"What scheduling the PID changes against the {bench.base}: {rest}.")
-    worse = better(bench, found, mpc, bench.scheduled)
-    said.append(
-        f"The {mpc} is no worse than the {bench.scheduled} in any scenario."
-        if not worse
-        else f"The {mpc} is worse than the {bench.scheduled} in: {', '.join(worse)}."
-    )
-    behind = better(bench, found, bound, mpc)
-    said.append(
-        f"The {bound} on the true equation bounds it; it is {cut(bound, mpc, bench.quality)} in {bench.words[bench.quality]}."
-        if not behind
-        else f"The {bound} does not bound it in: {', '.join(behind)}."
-    )
+    peaks = ", ".join(f"{law} {peak:.2f}" for law, peak in sensitivity.items())
+    said.append(f"Largest sensitivity of the frozen loops, over all that was modelled: {peaks}.")
+    for law in laws[:-2]:
+        worse = better(bench, found, mpc, law)
+        where = f"worse than the {law} in: {', '.join(worse)}" if worse else f"no worse than the {law} in any scenario"
+        said.append(f"The {mpc} is {where}.")
+    ahead = {law: better(bench, found, bound, law) for law in laws[:-1]}
+    if any(ahead.values()):
+        where = "; ".join(f"than the {law} in {', '.join(worse)}" for law, worse in ahead.items() if worse)
+        said.append(f"The {bound}, which knows the machine but not what a scenario adds to it, is worse {where}.")
+    else:
+        said.append(f"The {bound}, which knows the machine, bounds them all; in {word} it is {cut(bound, mpc, bench.quality)}.")
     worst = max(found["whole"][law]["violation"] for law in laws)
     said.append("No law ever left a limit of its commands." if worst <= 1e-9 else f"A command left its limits by {worst:.2g}.")
     times = ", ".join(f"{law} {own['ms']['median']:.2g} (99 %: {own['ms']['p99']:.2g})" for law, own in found["whole"].items())
@@ -418,7 +461,7 @@ def _times(found: Mapping[str, Any]) -> Table:
             (law, own["ms"]["median"], own["ms"]["p99"], ", ".join(f"{k} {n}" for k, n in own["statuses"].items()) or "-")
             for law, own in found["whole"].items()
         ),
-        caption="Milliseconds of one step in Python, the largest of the scenarios.", digits=2,
+        caption="Milliseconds of one step in Python, median of all runs.", digits=2,
     )  # fmt: skip
 
 
@@ -434,7 +477,7 @@ def _tables(bench: Bench, found: Mapping[str, Any], case: Case) -> tuple[Table, 
         f"Errors, {case.name}",
         ("law", *(f"{word} {kind} [{units[name]}{per}]" for name, word in bench.words.items() for kind, per in kinds)),
         tuple(
-            (law, *(_plus(numbers["errors"][name][kind]) for name in bench.words for kind, _ in kinds))
+            (_of_runs(law, numbers), *(_plus(numbers["errors"][name][kind]) for name in bench.words for kind, _ in kinds))
             for law, numbers in held.items()
         ),
         "Mean ± standard deviation over the seeds." + "".join(f" {law} did not hold the machine: {why}." for law, why in lost),
@@ -455,6 +498,11 @@ def _tables(bench: Bench, found: Mapping[str, Any], case: Case) -> tuple[Table, 
         "Moves are those from sample to sample; shares are of the time.",
     )
     return errors, cost
+
+
+def _of_runs(law: str, numbers: Mapping[str, Any]) -> str:
+    """A law's name, and in how many runs it held the machine where that is not all of them."""
+    return f"{law} ({numbers['runs'] - numbers['faults']} of {numbers['runs']} runs)" if numbers["faults"] else law
 
 
 def _plus(value: Mapping[str, float], factor: float = 1.0) -> str:
@@ -487,9 +535,6 @@ def _pictures(folder: Path, bench: Bench, case: Case, seed: int) -> tuple[Pictur
 
 def _designs(folder: Path, machine: str) -> tuple[Block, ...]:
     """Gains and margins of the PIDs over the schedule."""
-    from studies.design import design_pictures
-
-    content = read_json(folder / "controllers" / machine / "design.json")
-    model = load_model(folder / "controllers" / machine / f"model-{_stem(content['models'][0])}.json")
-    laws = {law: _law(folder, machine, law) for law in content["pids"]}
-    return design_pictures(laws, model)
+    content = _design_note(folder, machine)
+    models = [load_model(folder / "controllers" / machine / f"model-{_stem(name)}.json") for name in content["models"]]
+    return design_pictures({law: _law(folder, machine, law) for law in content["sensitivity"]}, models)

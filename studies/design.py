@@ -1,7 +1,7 @@
 """`workbench design`: from an identified model to a controller file, its margins, and what to do with it."""
 
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from controllers.export import gain_csv
 from controllers.files import load_controller, save_controller
 from controllers.mpc import default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
-from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, frequencies, loops_of, margins_of
+from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, frequencies, loops_of, worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, parse_numbers, run_folder
@@ -40,18 +40,18 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
 def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
     found = _tuned(options, kind, model, progress)
-    bounds = found.bounds
+    bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]
     folder = run_folder(options.out, "design")
     path = save_controller(found.law, folder / f"{kind}.json")
     write_text(folder / "gains.csv", gain_csv(found.law))
     over = found.margins
     if kind == "pid" and model.schedule is not None:
-        over = margins_of(found.law, model, list(np.linspace(model.span[0], model.span[1], 25)), bounds, found.scale)
+        over = worst_margins(found.law, models, list(np.linspace(model.span[0], model.span[1], POINTS)), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
     say(f"controller -> {path}")
     say(f"gain table -> {folder / 'gains.csv'}, margins -> {folder / 'margins.csv'}")
-    pictures = design_pictures({kind: found.law}, model, bounds, found.scale)
+    pictures = design_pictures({kind: found.law}, models, bounds, found.scale)
     title = f"{kind} on {model.name}"
     page = Report(title, _worst_said(found, over, model), (Section("Design", pictures),))
     say(f"pictures -> {write_report(page, folder)}")
@@ -67,6 +67,10 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     chosen = _plant_of(options, kind)
     keep = _ranges(options.keep, model)
     if options.fallback:
+        if options.robust_to or options.setpoint:
+            raise InputError(
+                "--robust-to and --setpoint are for a fallback law that is designed here", mend="leave --fallback out"
+            )
         fallback = load_controller(options.fallback)
         if not isinstance(fallback, ScheduledPID):
             raise InputError("not a PID", file=options.fallback, mend="workbench design scheduled-pid, or leave --fallback out")
@@ -92,7 +96,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         rate = f", at most {c:g} {channel.unit}/s" if np.isfinite(c) else ""
         say(f"  {channel.name} from {a:g} to {b:g} {channel.unit}{rate}: always")
     say(f"controller -> {path}")
-    read = [options.model, *([options.fallback] if options.fallback else []), *files]
+    read = [options.model, *options.robust_to, *([options.fallback] if options.fallback else []), *files]
     return _finished(options, folder, path, {"kind": kind, "weights": vars(law.weights)}, read, say)
 
 
@@ -185,12 +189,13 @@ def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
 
 
 def design_pictures(
-    laws: Mapping[str, ScheduledPID], model: LPVModel, bounds: Bounds = DEFAULT, scale: np.ndarray | None = None
+    laws: Mapping[str, ScheduledPID], models: Sequence[LPVModel], bounds: Bounds = DEFAULT, scale: np.ndarray | None = None
 ) -> tuple[Block, ...]:
-    """Gains and margins of PIDs over the schedule of a model, and the Nyquist curves of the last; margins where there is none."""
+    """Gains over the schedule of PIDs, the worst margins of all models, and the last law's Nyquist curves on the first."""
+    model = models[0]
     schedule = model.schedule
     rho = [None] if schedule is None else list(np.linspace(model.span[0], model.span[1], POINTS))
-    margins = {name: margins_of(law, model, rho, bounds, scale) for name, law in laws.items()}
+    margins = {name: worst_margins(law, models, rho, bounds, scale) for name, law in laws.items()}
     peaks = {"largest sensitivity": "sensitivity", "largest complementary sensitivity": "complementary", "largest pole": "radius"}
     name, law = list(laws.items())[-1]
     shown = [rho[i] for i in np.unique(np.linspace(0, len(rho) - 1, FAMILY).round().astype(int))]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from workbench.errors import InputError
 from workbench.files import write_text
 
 
@@ -17,7 +18,15 @@ def whole_rows(table: Path) -> list[dict[str, Any]]:
     whole = text[: text.rfind("\n") + 1]
     if whole != text:
         write_text(table, whole)
-    return [json.loads(line) for line in whole.splitlines()]
+    rows = []
+    for number, line in enumerate(whole.splitlines(), 1):
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError as reason:
+            raise InputError(
+                f"not a row: {reason.msg}", file=table, line=number, mend="delete this line: it is run again"
+            ) from None
+    return rows
 
 
 def made(table: Path, work: Callable[[Any], dict[str, Any]], items: Sequence[Any], jobs: int = 1) -> Iterator[dict[str, Any]]:

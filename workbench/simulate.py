@@ -18,6 +18,10 @@ from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
 
 
+class LeftRangeError(InputError):
+    """A run has left the range in which its plant's equation means something."""
+
+
 @record
 class Scenario:
     """What happens during a run: set-points by name (N,), start values, disturbances by input (N,), and the seed.
@@ -238,7 +242,7 @@ def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray) -> None:
     for channel, value in zip(plant.states, states[k], strict=True):
         low, high = plant.limits.get(channel.name, (-np.inf, np.inf))
         if not (np.isfinite(value) and low <= value <= high):
-            raise InputError(
+            raise LeftRangeError(
                 f"{value:.3g} {channel.unit} at t = {k * plant.dt:g} s, outside [{low:g}, {high:g}] {channel.unit}",
                 file=f"{plant.name}, {scenario.name}",
                 channel=channel.name,

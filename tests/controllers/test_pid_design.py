@@ -135,7 +135,7 @@ def test_bad_models_and_options_are_refused():
         design_pid(machine(), knots=0)
     with pytest.raises(InputError, match="3 set-points"):
         design_pid(machine(), knots=1, setpoint=(1.0, 2.0, 3.0))
-    with pytest.raises(InputError, match="other inputs, outputs or sample time"):
+    with pytest.raises(InputError, match="other inputs, outputs, schedule or sample time"):
         design_pid(machine(), knots=1, robust_to=(replace(machine(), dt=0.2),))
 
 
