@@ -1,0 +1,64 @@
+"""Opened loops from the blocks of the loop gain; one law for several models: what they must share, and whose margins count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controllers.pid import pid
+from controllers.pid_design import PEAKS, design_pid, loops_of, margins_of
+from controllers.tuning import Bounds
+from tests.controllers.test_pid_design import DT, TURNED, machine
+from workbench.data import Channel
+from workbench.errors import InputError
+from workbench.lpv import CONSTANT, OperatingPoint, constant_model
+
+BOUNDS = Bounds(1.5, 1.4, 4.0)
+
+
+def test_a_loop_is_opened_while_the_others_stay_closed():
+    """L_i = L_ii - L_io (1 + L_oo)^-1 L_oi with L = K P, o all others: three inputs, two outputs."""
+    random = np.random.default_rng(7)
+    A, B, C = np.diag([0.8, 0.5, -0.3]) + 0.1 * random.normal(size=(3, 3)), random.normal(size=(3, 3)), random.normal(size=(2, 3))
+    D = 0.1 * random.normal(size=(2, 3))
+    channels = [Channel(n, "V", "input") for n in "abc"], [Channel(n, "m", "output") for n in "de"]
+    model = constant_model("m", DT, channels, (A, B, C, D), OperatingPoint(CONSTANT, u=np.zeros((1, 3)), y=np.zeros((1, 2))))
+    Kp, Ki, Kd = (random.normal(size=(3, 2)) * size for size in (0.3, 0.5, 0.05))
+    law = pid("abc", "de", ("d_set", "e_set"), DT, Kp, Ki, Kd, Tf=0.3)
+    omega = np.array([0.05, 0.7, 6.0, 25.0])
+    found = loops_of(law, model, None, omega)
+    for w, own in zip(omega, found, strict=True):
+        z = np.exp(1j * w * DT)
+        K = Kp + Ki * DT / (z - 1.0) + Kd * (z - 1.0) / ((0.3 + DT) * z - 0.3)
+        L = K @ (C @ np.linalg.solve(z * np.eye(3) - A, B) + D)
+        for i in range(3):
+            o = [j for j in range(3) if j != i]
+            expected = L[i, i] - L[i, o] @ np.linalg.solve(np.eye(2) + L[np.ix_(o, o)], L[o, i])
+            np.testing.assert_allclose(own[i], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("side", ["inputs", "outputs"])
+def test_models_in_other_units_are_not_designed_for_together(side):
+    first, *rest = getattr(machine(), side)
+    other = replace(machine(), **{side: (replace(first, unit=f"m{first.unit}"), *rest)}, name="other")
+    with pytest.raises(InputError, match="other: other inputs, outputs"):
+        design_pid(machine(), knots=1, robust_to=(other,))
+
+
+def test_the_margins_of_one_law_are_the_worst_of_all_its_models():
+    """One is worse in one respect, the other in another; each peak is told with its frequency."""
+    other = machine(slow=0.9, turned=tuple(1.6 * G for G in TURNED))
+    weak = machine(turned=tuple(0.5 * G for G in TURNED))
+    design = design_pid(machine(), knots=1, bounds=BOUNDS, robust_to=(other, weak))
+    each = [margins_of(design.law, model, design.margins.rho, BOUNDS, design.scale) for model in (machine(), other, weak)]
+    worst = set()
+    for key in PEAKS:
+        values = np.stack([getattr(m, key) for m in each])
+        np.testing.assert_allclose(getattr(design.margins, key), values.max(axis=0), rtol=1e-9)
+        worst |= set(values.argmax(axis=0).ravel().tolist())
+    assert len(worst) > 1  # they really differ in whose it is
+    np.testing.assert_allclose(design.margins.bandwidth, np.min([m.bandwidth for m in each], axis=0))
+    for j, key in enumerate(PEAKS[:3]):
+        whose = np.argmax([getattr(m, key) for m in each], axis=0)
+        expected = [each[w].frequencies[i, j] for i, w in enumerate(whose)]
+        np.testing.assert_array_equal(design.margins.frequencies[:, j], expected)
