@@ -192,8 +192,8 @@ def _head(law: ScheduledPID) -> list[str]:
         *([f"schedule rho:   {channel(law, law.schedule)}"] if law.schedule else []),
         f"One step every {law.dt:g} s.",
         "",
-        "A set-point, measurement or schedule that is not a number leaves no command that is one, in this sample and in those to",
-        "come, until the law starts anew or takes over.",
+        "Where a set-point, a measurement or the schedule is not a finite number, the last command is held and the sample is",
+        "left out of all memory.",
     ]
 
 
@@ -232,7 +232,7 @@ typedef struct {
     bool cold; /* no sample yet: no derivative */
     bool takes_over; /* the next command goes on from u */
     /* what the last step reports */
-    bool valid; /* every command is a number */
+    bool valid; /* every number of the step was one: the last command is held where not */
 $outside    int limit[${NAME}_NU]; /* ${NAME}_FREE, _AT_LOW, _AT_HIGH or _AT_RATE */
 } ${name}_state;
 
@@ -292,12 +292,21 @@ void ${name}_take_over(${name}_state *s, const real u[NU])
 
 void ${name}_step(${name}_state *s, const real r[NY], const real y[NY], ${rho_real}real u[NU])
 {
-$schedule    for (int j = 0; j < NY; ++j) {
+$schedule    s->valid = $finite;
+    for (int j = 0; j < NY; ++j)
+        s->valid = s->valid && isfinite(r[j]) && isfinite(y[j]);
+    if (!s->valid) { /* the sample is left out */
+        for (int i = 0; i < NU; ++i) {
+            u[i] = clipped(s->u[i], LOW[i], HIGH[i]);
+            s->limit[i] = ${NAME}_FREE;
+        }
+        return;
+    }
+    for (int j = 0; j < NY; ++j) {
         const real d = C[j] * r[j] - y[j];
         s->f[j] = s->cold ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
         s->d[j] = d;
     }
-    s->valid = true;
     for (int i = 0; i < NU; ++i) {
         real own = $u0; /* the command without its integral part */
         real push = 0; /* what the error adds to the integral part */
@@ -318,7 +327,6 @@ $schedule    for (int j = 0; j < NY; ++j) {
             : ${NAME}_FREE;
         $integral
         s->u[i] = u[i];
-        s->valid = s->valid && !isnan(u[i]);
     }
     s->cold = s->takes_over = false;
 }
@@ -394,6 +402,7 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "weights": weights, "schedule": C_SCHEDULE * scheduled,
         "rho": f"{name}_real rho, " * scheduled, "rho_real": "real rho, " * scheduled, "and_rho": " and schedule rho" * scheduled,
         "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
+        "finite": "isfinite(rho)" if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
         "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
     }  # fmt: skip
@@ -472,11 +481,12 @@ $schedule_in    take_over : BOOL; (* TRUE: the first command is that in held *)
 END_VAR
 VAR_OUTPUT
     command : ARRAY[1..$nu_u] OF LREAL; (* u: $inputs *)
-    valid : BOOL; (* every command is a number *)
+    valid : BOOL; (* every number of the step was one: the last command is held where not *)
 $schedule_out    limited : ARRAY[1..$nu_u] OF INT; (* what set a command: 0 the law, 1 LOW, 2 HIGH, 3 RATE *)
 END_VAR
 VAR
     warm : BOOL; (* there is a sample before this one *)
+    takes_over : BOOL; (* the next command goes on from last *)
     z : ARRAY[1..$nu_u] OF LREAL; (* integral parts *)
     f : ARRAY[1..$nu_y] OF LREAL; (* filtered derivatives of C r - y *)
     d : ARRAY[1..$nu_y] OF LREAL; (* last C r - y *)
@@ -496,12 +506,34 @@ END_VAR
 
 IF restart OR take_over THEN
     warm := FALSE;
+    takes_over := take_over;
     FOR i := 1 TO NU DO
         z[i] := 0.0;
-        last[i] := held[i];
+        last[i] := 0.0;
+        IF take_over THEN
+            last[i] := held[i];
+        END_IF;
     END_FOR;
 END_IF;
 $weights
+(* of what is no finite number, the difference from itself is not 0 *)
+valid := $finite;
+FOR j := 1 TO NY DO
+    valid := valid AND (set_point[j] - set_point[j] = 0.0) AND (measured[j] - measured[j] = 0.0);
+END_FOR;
+IF NOT valid THEN (* the sample is left out *)
+    FOR i := 1 TO NU DO
+        command[i] := last[i];
+        IF command[i] < LOW[i] THEN
+            command[i] := LOW[i];
+        ELSIF command[i] > HIGH[i] THEN
+            command[i] := HIGH[i];
+        END_IF;
+        limited[i] := 0;
+    END_FOR;
+    RETURN;
+END_IF;
+
 FOR j := 1 TO NY DO
     difference := C[j] * set_point[j] - measured[j];
     IF warm THEN
@@ -512,7 +544,6 @@ FOR j := 1 TO NY DO
     d[j] := difference;
 END_FOR;
 
-valid := TRUE;
 FOR i := 1 TO NU DO
 $u0
     push := 0.0;
@@ -521,14 +552,14 @@ $gains        own := own + $Kp * (B[j] * set_point[j] - measured[j]);
         own := own + $Kd * f[j];
         push := push + PERIOD * $Ki * (set_point[j] - measured[j]);
     END_FOR;
-    IF take_over THEN
+    IF takes_over THEN
         z[i] := last[i] - own;
     END_IF;
     v := own + z[i];
 
     reached := v;
     limited[i] := 0;
-    IF warm OR take_over THEN
+    IF warm OR takes_over THEN
         IF v < last[i] - RATE[i] * PERIOD THEN
             reached := last[i] - RATE[i] * PERIOD;
             limited[i] := 3;
@@ -548,9 +579,9 @@ $gains        own := own + $Kp * (B[j] * set_point[j] - measured[j]);
 
 $integral
     last[i] := command[i];
-    valid := valid AND (command[i] = command[i]); (* what is not a number does not equal itself *)
 END_FOR;
 warm := TRUE;
+takes_over := FALSE;
 END_FUNCTION_BLOCK
 """)
 
@@ -651,6 +682,7 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "schedule_out": "    outside : BOOL; (* the schedule is outside the span of the gains, or no number *)\n" * scheduled,
         "locals": _st_locals(law, sizes) if scheduled else "",
         "weights": ST_SCHEDULE + _st_weights(law) if scheduled else "",
+        "finite": "schedule - schedule = 0.0" if scheduled else "TRUE",
         "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": ST_GAINS * scheduled,
         **{key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd")},
         "integral": ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING,

@@ -6,6 +6,7 @@ outputs give way at a price.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -127,13 +128,17 @@ class Receding:
         if before.age + 1 < len(before.commands):
             age = before.age + 1
             return np.clip(before.commands[age], low, high), Plan(before.commands, age, Status.LAST_PLAN, None)
-        law = self.fallback.init(last) if before.law is None else before.law
-        y = np.where(np.isfinite(y), y, r)
-        wanted, after = self.fallback.step(law, r, y, rho)
-        u = np.clip(np.where(np.isfinite(wanted), wanted, last), low, high)
-        if not np.array_equal(u, wanted):  # its integral is to follow what was commanded
-            after = self.fallback.follow(law, u, r, y, rho)
-        return u, Plan(UNPLANNED.commands, 0, Status.FALLBACK, after if np.isfinite(after).all() else None)
+        law = self._backup.init(last) if before.law is None else before.law
+        wanted, after = self._backup.step(law, r, np.where(np.isfinite(y), y, r), rho)
+        return np.clip(wanted, low, high), Plan(UNPLANNED.commands, 0, Status.FALLBACK, after)
+
+    @cached_property
+    def _backup(self) -> ScheduledPID:
+        """The fallback law within the limits of this one too, so that its integral does not run away behind them."""
+        low, high = np.maximum(self.fallback.low, self.low), np.minimum(self.fallback.high, self.high)
+        own = low < high
+        rate = np.minimum(self.fallback.rate, self.rate)
+        return replace(self.fallback, low=np.where(own, low, self.low), high=np.where(own, high, self.high), rate=rate)
 
     def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest commands (N, nu): the limits, or where the rate lets one come from outside of them."""

@@ -230,7 +230,11 @@ class ScheduledPID:
         return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold]
 
     def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """One sample: (u, next memory)."""
+        """One sample: (u, next memory). Where a set-point, a measurement or the schedule is no finite number, the last command
+        is held and nothing is remembered: the sample is left out.
+        """
+        if not np.isfinite([*r, *y, 0.0 if self.schedule is None or rho is None else rho]).all():
+            return np.clip(self._split(state).u, self.low, self.high), state
         u, after = self.law(self.gains, state, r, y, rho)
         return np.array(u, dtype=float), np.array(after, dtype=float)
 

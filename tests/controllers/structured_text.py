@@ -193,13 +193,18 @@ class _Reader:
     def statements(self, *ends, depth):
         first = len(self.lines)
         while self.peek() not in ends:
-            {"IF": self.choice, "FOR": self.loop, "WHILE": self.repetition}.get(self.peek(), self.assignment)(depth)
+            kinds = {"IF": self.choice, "FOR": self.loop, "WHILE": self.repetition, "RETURN": self.end}
+            kinds.get(self.peek(), self.assignment)(depth)
             self.expect(";")
         if len(self.lines) == first:
             self.emit(depth, "pass")
 
     def emit(self, depth, line):
         self.lines.append(" " * depth + line)
+
+    def end(self, depth):
+        self.take()
+        self.emit(depth, "return")
 
     def assignment(self, depth):
         name = self.tokens[self.at][1].lower()

@@ -75,8 +75,10 @@ def events(law, seed):
     r, y, rho = signals(law, seed)
     held = np.random.default_rng(seed).uniform(-2.0, 2.0, (3, law.Kp.shape[1]))
     starts = {0: None, 120: held[0], 121: held[0], 240: held[1], 320: held[2], 360: None}
-    y[230, -1] = np.nan
+    y[230, -1] = y[240, 0] = np.nan  # the second where it takes over: it does so at the next sample
+    r[250, 0] = np.inf
     rho[310] = np.nan
+    y[360, 0] = -np.inf  # and where it starts cold
     return r, y, rho, starts
 
 
@@ -92,7 +94,8 @@ def by_the_law(law, r, y, rho, starts):
         (v, _), (reached, _), (command, state) = free.step(*at), by_rate.step(*at), law.step(*at)
         limits.append(np.select([reached < law.low, reached > law.high, reached != v], [AT_LOW, AT_HIGH, AT_RATE], FREE))
         u.append(command)
-    return np.array(u), np.where(np.isnan(u), FREE, limits)
+    seen = np.isfinite(np.column_stack([r, y, rho if law.schedule else np.zeros(len(rho))])).all(axis=1)
+    return np.array(u), np.where(seen[:, None], limits, FREE), seen
 
 
 def by_c(law, r, y, rho, starts, source, **options):
@@ -131,9 +134,10 @@ def in_c(law, folder, name="law_1", change=lambda text: text, *, single=False):
 
 
 def assert_same(law, rho, expected, got, tolerance):
-    (u, limits), (v, reported, outside, valid) = expected, got
-    np.testing.assert_allclose(v, u, rtol=0.0, atol=tolerance)  # what is no number must be none in both
-    np.testing.assert_array_equal(valid, np.isfinite(u).all(axis=1))
+    (u, limits, seen), (v, reported, outside, valid) = expected, got
+    assert np.isfinite(u).all()
+    np.testing.assert_allclose(v, u, rtol=0.0, atol=tolerance)
+    np.testing.assert_array_equal(valid, seen)
     np.testing.assert_array_equal(reported, limits)
     inside = (rho >= law.span[0]) & (rho <= law.span[1])
     np.testing.assert_array_equal(outside, ~inside if law.schedule else np.zeros(len(rho), dtype=bool))
@@ -156,14 +160,14 @@ def test_structured_text_is_the_law(key):
 
 
 def test_the_signals_try_everything():
-    """Every limit sets commands of the laws above, the schedule is outside on both sides, and some commands are none."""
+    """Every limit sets commands of the laws above, the schedule is outside on both sides, and samples are left out."""
     given = events(LAWS["2x3 over knots"], 0)
-    u, limits = by_the_law(LAWS["2x3 over knots"], *given)
+    u, limits, seen = by_the_law(LAWS["2x3 over knots"], *given)
     assert (np.bincount(limits.ravel(), minlength=4) > 30).all()
     assert (np.nanmin(given[2]), np.nanmax(given[2])) < (0.009, 0.03)
     assert np.nanmax(given[2]) > 0.028
-    assert not np.isfinite(u[230:240]).any()
-    assert np.isfinite(u[240:310]).all()
+    assert np.flatnonzero(~seen).tolist() == [230, 240, 250, 310, 360]
+    np.testing.assert_array_equal(u[[230, 250, 310]], u[[229, 249, 309]])  # held
 
 
 MISTAKES = {
@@ -176,7 +180,9 @@ MISTAKES = {
     "one lower limit for all": ("clipped(reached, LOW[i]", "clipped(reached, LOW[1]"),
     "one upper limit for all": (", HIGH[i])", ", HIGH[0])"), "no derivative filter": ("DECAY * s->f[j] + ", ""),
     "a bump": ("s->z[i] = s->u[i] - own", "s->z[i] = 0"), "no anti-windup": (" + PERIOD / TRACKING[i] * (u[i] - v)", ""),
-    "last command before its limits": ("s->u[i] = u[i];\n        s->valid", "s->u[i] = v;\n        s->valid"),
+    "last command before its limits": ("s->u[i] = u[i];\n    }", "s->u[i] = v;\n    }"),
+    "a lost sample is used": ("if (!s->valid) {", "if (false) {"),
+    "a lost schedule is used": ("s->valid = isfinite(rho)", "s->valid = true"),
     "u0 left out": ("real own = at(U0[i], phi)", "real own = 0"), "integral without time": ("push += PERIOD * ", "push += "),
     "takes over for ever": ("s->cold = s->takes_over = false", "s->cold = false"),
     "never warm": ("s->cold = s->takes_over = false", "s->takes_over = false"),
@@ -195,7 +201,7 @@ def test_a_mistake_would_be_seen(tmp_path, mistake):
     expected = by_the_law(law, *given)
     assert_same(law, given[2], expected, by_c(law, *given, in_c(law, tmp_path)), 1e-12)
     v = by_c(law, *given, in_c(law, tmp_path, "wrong", change), strict=False)[0]
-    assert np.nanmax(np.abs(v - expected[0])) > 1e-6
+    assert np.nan_to_num(np.abs(v - expected[0]), nan=np.inf).max() > 1e-6
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +242,7 @@ def test_single_precision_differs_by_what_the_documentation_says(winding, tmp_pa
     for key, other in LAWS.items():
         r, y, rho, starts = events(other, 0)
         starts = {k: u for k, u in starts.items() if k < 230}
-        expected, _ = by_the_law(other, r[:230], y[:230], rho[:230], starts)
+        expected, *_ = by_the_law(other, r[:230], y[:230], rho[:230], starts)
         got = by_c(other, r, y, rho, starts, in_c(other, tmp_path, f"f{abs(hash(key))}", single=True), single=True)[0][:230]
         np.testing.assert_allclose(got, expected, atol=1e-4, err_msg=key)
 

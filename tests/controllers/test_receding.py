@@ -83,7 +83,6 @@ def test_the_fallback_law_leaves_a_limit_of_the_planner_when_the_error_turns(sol
     assert (sign * ((HIGH if sign > 0 else LOW) - u) > 0.5 * RATE * DT).all()
 
 
-@pytest.mark.xfail(strict=True, reason="a sample in which the fallback law follows does not integrate, for good at a limit")
 @pytest.mark.parametrize("start", [0.0, 2.5, -2.5])
 def test_the_fallback_law_goes_on_as_fast_as_the_planner_lets_it(solvers, start):
     """It takes over from the last command, comes back from beyond its limits, and then goes the whole way at the full rate."""

@@ -316,3 +316,18 @@ def test_bad_laws_are_refused():
         replace(scheduled(), basis=Powers((0.0,)))
     with pytest.raises(RecordError, match="rate"):
         full(rate=-1.0)
+
+
+@pytest.mark.parametrize("lost", [{"y": [np.nan, 1.0]}, {"r": [1.0, np.inf]}, {"rho": np.nan}])
+def test_a_lost_sample_is_left_out(lost):
+    """The last command is held, and the samples after it are those of a law that was never asked."""
+    law = scheduled()
+    given = {"r": [1.0, 0.5], "y": [0.2, 0.1], "rho": 0.02}
+    state = law.init(np.array([0.1, -0.1]))
+    for _ in range(3):
+        u, state = law.step(state, **given)
+    held, after = law.step(state, **(given | lost))
+    np.testing.assert_array_equal(held, u)
+    np.testing.assert_array_equal(after, state)
+    first, _ = law.step(law.init(), **(given | lost))
+    np.testing.assert_array_equal(first, np.clip(0.0, law.low, law.high))
