@@ -31,7 +31,7 @@ def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None 
         )
     if content.get("version") != VERSION:
         raise InputError(f"controller version {content.get('version')}, this program reads {VERSION}", file=path)
-    kind = KINDS[check_known("kind of controller", content.get("kind", ""), KINDS, file=path)]
+    kind = KINDS[check_known("kind of controller", str(content.get("kind", "")), KINDS, file=path)]
     try:
         return kind.from_dict(content, find_plant) if kind is nmpc.NMPC else kind.from_dict(content)
     except InputError as reason:

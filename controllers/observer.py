@@ -31,6 +31,10 @@ class Observer:
     L: np.ndarray = field("g nz ny")
     J: np.ndarray = field("g nz ny")
 
+    def __post_init__(self):
+        if not isinstance(self.at_inputs, bool):
+            raise InputError(f"at_inputs {self.at_inputs!r}", file=self.model.name, mend="true or false")
+
     def gains(self, rho: float) -> tuple[np.ndarray, np.ndarray]:
         """L and J at a schedule value, interpolated; the edge value outside."""
         return interpolated(self.rho, self.L, rho), interpolated(self.rho, self.J, rho)

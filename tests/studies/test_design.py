@@ -235,3 +235,15 @@ def test_a_schedule_beyond_the_law_is_said(tmp_path, capsys):
     with open(tmp_path / "narrow" / "ramp.csv") as stream:
         largest = max(float(row["r2 [m]"]) for row in csv.DictReader(stream))
     assert beyond == pytest.approx(100.0 * (largest - 0.02) / 0.009, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [{"kind": 5}, {"Tf": float("inf")}, {"dt": "fast"}, {"basis": {"kind": 3}}, {"measured": 7}, {"anti_windup": {"kind": None}}],
+    ids=lambda edit: next(iter(edit)),
+)
+def test_a_controller_file_with_a_foreign_value_is_refused_in_a_sentence(folder, tmp_path, edit):
+    content = json.loads((folder / "out" / "scheduled-pid.json").read_text())
+    (tmp_path / "c.json").write_text(json.dumps(content | edit))
+    with pytest.raises(InputError, match=r"c\.json"):
+        load_controller(tmp_path / "c.json")
