@@ -18,8 +18,20 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from controllers.observer import Observer, design_observer, interpolated
-from controllers.receding import TINY, UNPLANNED, Plan, Program, Receding, Status, Weights, solved_by_daqp
-from controllers.scheduled_pid import ScheduledPID, finite, unlimited
+from controllers.receding import (
+    TINY,
+    UNPLANNED,
+    Plan,
+    Program,
+    Receding,
+    Status,
+    Weights,
+    common_fields,
+    limits_with,
+    solved_by_daqp,
+    weights_by,
+)
+from controllers.scheduled_pid import ScheduledPID
 from workbench.errors import InputError
 from workbench.lpv import LPVModel, model_from_dict
 from workbench.records import field, record
@@ -123,25 +135,18 @@ class MPC(Receding):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package, the model and the fallback law included."""
-        return {
-            "kind": KIND, "name": self.name, "horizon": self.horizon, "weights": vars(self.weights),
-            "low": finite(self.low), "high": finite(self.high), "rate": finite(self.rate),
-            "y_low": finite(self.y_low), "y_high": finite(self.y_high),
+        return {"kind": KIND} | self.common_dict() | {
             "prediction_memory": self.prediction.memory if isinstance(self.prediction, Extrapolated) else None,
             "observer": {key: getattr(self.observer, key) for key in ("at_inputs", "rho", "L", "J")},
-            "fallback": self.fallback.to_dict(), "model": self.model.to_dict(),
+            "model": self.model.to_dict(),
         }  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "MPC":
         """The law that `to_dict` wrote."""
         model, memory = model_from_dict(content["model"]), content["prediction_memory"]
-        low, rate = (unlimited(content[key], none) for key, none in (("low", -np.inf), ("rate", np.inf)))
-        return cls(
-            model, Observer(model, **content["observer"]), Weights(**content["weights"]), content["horizon"], low,
-            unlimited(content["high"], np.inf), rate, unlimited(content["y_low"], -np.inf), unlimited(content["y_high"], np.inf),
-            ScheduledPID.from_dict(content["fallback"]), Held() if memory is None else Extrapolated(memory), content["name"],
-        )  # fmt: skip
+        prediction = Held() if memory is None else Extrapolated(memory)
+        return cls(model=model, observer=Observer(model, **content["observer"]), prediction=prediction, **common_fields(content))
 
     # ---- one sample -------------------------------------------------------------------------------------------------------
 
@@ -327,11 +332,10 @@ def default_weights(model: LPVModel, move: float = 0.003) -> Weights:
     """An output counts in units of what unit inputs move it in the middle of the schedule; move: price of a unit move."""
     A, B, C, D = model.freeze(float(np.mean(model.span)) if model.schedule else None)
     scale = np.linalg.norm(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D, axis=1)
-    if not np.all(scale > 0.0):
-        dead = model.outputs[int(scale.argmin())].name
-        raise InputError("no input moves it in the steady state", file=model.name, channel=dead, mend="leave this output out")
-    nu = len(model.inputs)
-    return Weights(1.0 / scale**2, np.full(nu, move), np.zeros(nu))
+    outputs, file = [c.name for c in model.outputs], model.name
+    return weights_by(
+        scale, outputs, len(model.inputs), move, when="in the steady state", file=file, mend="leave this output out"
+    )
 
 
 def design_mpc(
@@ -352,11 +356,8 @@ def design_mpc(
 
     weights default: `default_weights`.
     """
-    ny = len(model.outputs)
-    each = lambda given, default: default if given is None else given  # noqa: E731
     return MPC(
-        model, observer or design_observer(model), weights or default_weights(model), horizon,
-        each(low, fallback.low), each(high, fallback.high), each(rate, fallback.rate),
-        np.broadcast_to(each(y_low, -np.inf), ny), np.broadcast_to(each(y_high, np.inf), ny), fallback,
-        prediction or Extrapolated(),
+        model=model, observer=observer or design_observer(model), weights=weights or default_weights(model), horizon=horizon,
+        fallback=fallback, prediction=prediction or Extrapolated(),
+        **limits_with(fallback, low=low, high=high, rate=rate, y_low=y_low, y_high=y_high),
     )  # fmt: skip

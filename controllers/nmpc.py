@@ -22,8 +22,19 @@ import casadi as ca
 import numpy as np
 
 from controllers.plant_observer import Belief, PlantObserver, SampledPlant
-from controllers.receding import TINY, UNPLANNED, Plan, Program, Receding, Status, Weights
-from controllers.scheduled_pid import ScheduledPID, finite, unlimited
+from controllers.receding import (
+    TINY,
+    UNPLANNED,
+    Plan,
+    Program,
+    Receding,
+    Status,
+    Weights,
+    common_fields,
+    limits_with,
+    weights_by,
+)
+from controllers.scheduled_pid import ScheduledPID
 from workbench.errors import InputError, check_known
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
@@ -135,12 +146,9 @@ class NMPC(Receding):
         """Plain numbers; the plant as in a plant file: its name, where it is found, its parameters and effects."""
         kind = next(kind for kind, cls in SOLVERS.items() if isinstance(self.solver, cls))
         known = extension(self.plant, self.base, {})
-        return {
-            "kind": KIND, "name": self.name, "horizon": self.horizon, "weights": vars(self.weights),
-            "actuated": list(self.actuated), "controlled": list(self.controlled),
-            "low": finite(self.low), "high": finite(self.high), "rate": finite(self.rate),
-            "y_low": finite(self.y_low), "y_high": finite(self.y_high), "solver": {"kind": kind} | vars(self.solver),
-            "drift": self.drift, "fallback": self.fallback.to_dict(),
+        return {"kind": KIND} | self.common_dict() | {
+            "actuated": list(self.actuated), "controlled": list(self.controlled), "solver": {"kind": kind} | vars(self.solver),
+            "drift": self.drift,
             "plant": {"name": known.plant, "base": known.base, "parameters": known.parameters, "effects": known.effects},
         }  # fmt: skip
 
@@ -151,12 +159,10 @@ class NMPC(Receding):
         if find_plant is None:
             raise InputError(f"predicts with the plant {of['base']}, which is not at hand here", mend="give find_plant=")
         plant = Extension(of["name"], of["base"], of["parameters"], of["effects"]).of(find_plant(of["base"]))
+        chosen = SOLVERS[check_known("solver", solver.pop("kind"), SOLVERS)](**solver)
         return cls(
-            plant, of["base"], tuple(content["actuated"]), tuple(content["controlled"]), Weights(**content["weights"]),
-            content["horizon"], unlimited(content["low"], -np.inf), unlimited(content["high"], np.inf),
-            unlimited(content["rate"], np.inf), unlimited(content["y_low"], -np.inf), unlimited(content["y_high"], np.inf),
-            ScheduledPID.from_dict(content["fallback"]),
-            SOLVERS[check_known("solver", solver.pop("kind"), SOLVERS)](**solver), content["drift"], content["name"],
+            plant=plant, base=of["base"], actuated=tuple(content["actuated"]), controlled=tuple(content["controlled"]),
+            solver=chosen, drift=content["drift"], **common_fields(content),
         )  # fmt: skip
 
     # ---- one sample -------------------------------------------------------------------------------------------------------
@@ -176,11 +182,11 @@ class NMPC(Receding):
         belief = self.observer.corrected(belief, seen)
         nx, ny = len(self.plant.states), len(self.controlled)
         x, d = belief.z[:nx], belief.z[nx:]
+        expected = dict(zip(self.plant.output_names, np.array(self.observer.model.seen(x)[0]).ravel().tolist(), strict=True))
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, ny))
-        wanted = np.where(np.isfinite(wanted), wanted, self._outputs(x[:, None])[0])  # no set-point: stay where it is
+        wanted = np.where(np.isfinite(wanted), wanted, [expected[name] for name in self.controlled])  # else stay where it is
         found, status = self._planned(state, x, d, wanted)
-        expected = dict(zip(self.plant.output_names, np.array(self.observer.model.seen(x)[0]).ravel(), strict=True))
-        schedule = None if self.fallback.schedule is None else float(expected[self.fallback.schedule])
+        schedule = None if self.fallback.schedule is None else expected[self.fallback.schedule]
         u, plan = self._acted(state.u, state.plan, found, status, wanted[0], y[:ny], schedule)
         return u, NMPCState(self.observer.moved(belief, u), u, plan)
 
@@ -253,16 +259,21 @@ class NMPC(Receding):
 
     def _outputs(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Controlled outputs (n, ny) at states x (nx, n), and their Jacobians (n, ny, nx)."""
-        n, at = x.shape[1], [self.plant.output_names.index(name) for name in self.controlled]
+        n = x.shape[1]
         y, C = (np.array(a) for a in self.observer.model.seen.map(n)(x))
-        return y.T[:, at], C.reshape(len(y), n, len(x)).transpose(1, 0, 2)[:, at]
+        return y.T[:, self._at], C.reshape(len(y), n, len(x)).transpose(1, 0, 2)[:, self._at]
+
+    @cached_property
+    def _at(self) -> list[int]:
+        """Where the controlled outputs stand among all of the plant."""
+        return [self.plant.output_names.index(name) for name in self.controlled]
 
     # ---- the program itself -----------------------------------------------------------------------------------------------
 
     def _by_ipopt(self, last: np.ndarray, x: np.ndarray, d: np.ndarray, r: np.ndarray, plan: np.ndarray) -> np.ndarray | None:
         """The optimal plan, started from this one; None where IPOPT does not say that it has converged."""
         solve, N, soft = self._nonlinear_program, self.horizon, self._soft[2]
-        course = np.array(self.observer.model.step.mapaccum(N)(x, (plan + d).T))
+        course = np.array(self._along(x, (plan + d).T)[0])
         if not np.isfinite(course).all():
             return None
         low, high = self._reach(last)
@@ -283,10 +294,9 @@ class NMPC(Receding):
         """Variables: commands, states after them, slacks. Rows: the equation, moves, upper and lower limits of outputs."""
         N, nx, nu, ny = self.horizon, len(self.plant.states), len(self.actuated), len(self.controlled)
         model, (_, _, soft, prices) = self.observer.model, self._soft
-        at = [self.plant.output_names.index(name) for name in self.controlled]
         u, x, s = ca.MX.sym("u", nu, N), ca.MX.sym("x", nx, N), ca.MX.sym("s", len(soft))
         x0, d, last, r = ca.MX.sym("x0", nx), ca.MX.sym("d", nu), ca.MX.sym("last", nu), ca.MX.sym("r", ny, N)
-        y = model.seen.map(N)(x)[0][at, :]
+        y = model.seen.map(N)(x)[0][self._at, :]
         moves = ca.horzcat(u[:, 0] - last, u[:, 1:] - u[:, :-1])
         Q, S, linear, squared = (ca.DM(weight) for weight in (self.weights.outputs, self.weights.moves, *prices))
         cost = 0.5 * (ca.dot(Q, ca.sum2((y - r) ** 2)) + ca.dot(S, ca.sum2(moves**2)) + ca.dot(squared, s**2)) + ca.dot(linear, s)
@@ -311,11 +321,8 @@ def default_weights(model: SampledPlant, controlled: tuple[str, ...], horizon: i
     for _ in range(horizon):
         moved = A @ moved + B
     scale = np.linalg.norm((C @ moved)[[model.plant.output_names.index(name) for name in controlled]], axis=1)
-    if not np.all(scale > 0.0):
-        dead = controlled[int(scale.argmin())]
-        raise InputError("no input moves it within the horizon", file=model.plant.name, channel=dead, mend="a longer horizon?")
-    nu = len(model.actuated)
-    return Weights(1.0 / scale**2, np.full(nu, move), np.zeros(nu))
+    nu, file = len(model.actuated), model.plant.name
+    return weights_by(scale, controlled, nu, move, when="within the horizon", file=file, mend="a longer horizon?")
 
 
 def design_nmpc(
@@ -336,12 +343,8 @@ def design_nmpc(
 
     base: where a file is to find the plant, default its name. weights default: `default_weights`.
     """
-    ny = len(fallback.measured)
-    each = lambda given, default: default if given is None else given  # noqa: E731
-    weights = weights or default_weights(SampledPlant(plant, fallback.actuated), fallback.measured, horizon)
     return NMPC(
-        plant, base or plant.name, fallback.actuated, fallback.measured, weights, horizon,
-        each(low, fallback.low), each(high, fallback.high), each(rate, fallback.rate),
-        np.broadcast_to(each(y_low, -np.inf), ny), np.broadcast_to(each(y_high, np.inf), ny), fallback,
-        solver or RealTimeIteration(),
+        plant=plant, base=base or plant.name, actuated=fallback.actuated, controlled=fallback.measured, fallback=fallback,
+        weights=weights or default_weights(SampledPlant(plant, fallback.actuated), fallback.measured, horizon), horizon=horizon,
+        solver=solver or RealTimeIteration(), **limits_with(fallback, low=low, high=high, rate=rate, y_low=y_low, y_high=y_high),
     )  # fmt: skip

@@ -5,7 +5,8 @@ lasts; then a PID takes over. A command is never NaN and never outside its limit
 outputs give way at a price.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from enum import Enum
 from functools import cached_property
@@ -13,11 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controllers.scheduled_pid import ScheduledPID, check_limits
+from controllers.scheduled_pid import ScheduledPID, check_limits, finite, unlimited
 from workbench.data import SAME_DT
 from workbench.errors import InputError
 from workbench.records import field, record
 
+LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf, "y_low": -np.inf, "y_high": np.inf}  # and what none given means
 TINY = 1e-9  # relative weight that keeps a program strictly convex
 
 
@@ -102,6 +104,12 @@ class Receding:
                 file=self.name, mend=f"design one that goes from {', '.join(controlled)} to {', '.join(actuated)}",
             )  # fmt: skip
 
+    def common_dict(self) -> dict[str, Any]:
+        """What the files of all such laws hold."""
+        limits = {key: finite(getattr(self, key)) for key in LIMITS}
+        rest = {"weights": vars(self.weights), "fallback": self.fallback.to_dict()}
+        return {"name": self.name, "horizon": self.horizon, **limits, **rest}
+
     def _solved(self, program: Program) -> tuple[np.ndarray | None, Status]:
         """Commands (N, nu) of a program, or None where no solver has an answer that its limits confirm."""
         for solver, status in ((solved_by_daqp, Status.OPTIMAL), (solved_by_clarabel, Status.SECOND_SOLVER)):
@@ -172,6 +180,37 @@ class Receding:
         cost = np.where(self.weights.outputs > 0.0, self.weights.outputs, 1.0)[soft]
         prices = self.weights.violation * np.stack([np.sqrt(cost), cost])
         return self.y_low.copy(), self.y_high.copy(), soft, prices
+
+
+def common_fields(content: dict[str, Any]) -> dict[str, Any]:
+    """The fields that `common_dict` wrote."""
+    limits = {key: unlimited(content[key], none) for key, none in LIMITS.items()}
+    rest = {"weights": Weights(**content["weights"]), "fallback": ScheduledPID.from_dict(content["fallback"])}
+    return {"name": content["name"], "horizon": content["horizon"], **limits, **rest}
+
+
+def limits_with(fallback: ScheduledPID, **given: np.ndarray | None) -> dict[str, Any]:
+    """All limits by name: those given, else for commands those of the fallback law and for outputs none."""
+    found = {}
+    for key, none in LIMITS.items():
+        own = given[key]
+        if key in ("y_low", "y_high"):
+            found[key] = np.broadcast_to(none if own is None else own, len(fallback.measured))
+        else:
+            found[key] = getattr(fallback, key) if own is None else own
+    return found
+
+
+def weights_by(scale: np.ndarray, names: Sequence[str], nu: int, move: float, *, when: str, file: str, mend: str) -> Weights:
+    """Outputs count in units of `scale` (ny,), what unit inputs move them; move: price of a unit move. Refuses a scale of 0."""
+    if not np.all(scale > 0.0):
+        raise InputError(f"no input moves it {when}", file=file, channel=names[int(scale.argmin())], mend=mend)
+    return Weights(1.0 / scale**2, np.full(nu, move), np.zeros(nu))
+
+
+def count_statuses(memories: Iterable[Any]) -> dict[str, int]:
+    """How often each status stood behind a command."""
+    return dict(Counter(memory.status.value for memory in memories))
 
 
 def solved_by_daqp(program: Program) -> np.ndarray | None:

@@ -3,13 +3,10 @@
 import os
 import sys
 from argparse import Namespace
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
-
-import numpy as np
 
 from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder, trusted_plant
 from studies.results import Result, scores_file
@@ -128,17 +125,20 @@ def simulate(options: Namespace) -> int:
 
 def _statuses(memories: Sequence[Any]) -> dict[str, int]:
     """How often each status stood behind a command."""
-    found = Counter(memory.status.value for memory in memories)
+    from controllers.receding import count_statuses
+
+    found = count_statuses(memories)
     say("  commands: " + ", ".join(f"{status} {times}" for status, times in found.items()))
-    return dict(found)
+    return found
 
 
 def _loop_scores(law: Loop, run: Experiment) -> list[dict[str, Any]]:
     """How well each measured output followed its set-point."""
+    from workbench.metrics import tracking
+
     scores = []
     for measured, reference in zip(law.measured, law.references, strict=False):
-        e = run[reference] - run[measured]
-        values = {"RMS": float(np.sqrt(np.mean(e**2))), "max": float(np.abs(e).max()), "IAE": float(np.sum(np.abs(e)) * run.dt)}
+        values = tracking(run[reference] - run[measured], run.dt)
         unit = next(c.unit for c in run.channels if c.name == measured)
         numbers = ", ".join(f"{key} {value:.4g} {unit}" for key, value in values.items())
         say(f"  {measured}: error {numbers} s")

@@ -8,6 +8,7 @@ done; a study that was cut off goes on where it stopped, with the controllers th
 import hashlib
 import json as plain_json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 
 from controllers.files import load_controller, save_controller
 from controllers.pid_design import worst_margins
+from controllers.receding import count_statuses
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
 from studies.design import POINTS, design_pictures
@@ -25,6 +27,7 @@ from studies.table import made, whole_rows
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.lpv import load_model
+from workbench.metrics import tracking
 from workbench.provenance import provenance, versions
 from workbench.records import record
 from workbench.report import figures
@@ -208,12 +211,7 @@ def judged(bench: Bench, case: Case, law: Any, seed: int) -> Row:
     y, e = _truth(bench, run.states.values), run.experiment
     if isinstance(law, ScheduledPID):
         _replayed(timed, e)
-    errors = {}
-    for name in bench.words:
-        off = case.references[f"{name}_set"] - y[name]
-        errors[name] = {
-            "RMS": float(np.sqrt(np.mean(off**2))), "max": float(np.abs(off).max()), "IAE": float(np.sum(np.abs(off)) * plant.dt)
-        }  # fmt: skip
+    errors = {name: tracking(case.references[f"{name}_set"] - y[name], plant.dt) for name in bench.words}
     held = [plant.equilibrium()[1][plant.input_names.index(name)] for name in law.actuated]
     u = np.vstack([held, np.column_stack([e[name] for name in law.actuated])])  # the first move is one too
     moves = np.diff(u, axis=0)
@@ -229,7 +227,7 @@ def judged(bench: Bench, case: Case, law: Any, seed: int) -> Row:
         "effort": {name: float(np.sqrt(np.mean(moves[:, i] ** 2))) for i, name in enumerate(law.actuated)},
         "at_limit": float(np.mean(((u >= law.high - 1e-9) | (u <= law.low + 1e-9)).any(axis=1))),
         "ms": {"median": 1e3 * float(np.median(timed.seconds)), "p99": 1e3 * float(np.quantile(timed.seconds, 0.99))},
-        "statuses": _statuses(run.memories),
+        "statuses": count_statuses(run.memories),
     }
 
 
@@ -238,13 +236,6 @@ def _truth(bench: Bench, states: np.ndarray) -> dict[str, np.ndarray]:
     plant = bench.plant
     values = plant.output(states.T)
     return {name: np.broadcast_to(y, len(states)) for name, y in zip(plant.output_names, values, strict=True)}
-
-
-def _statuses(memories: Iterable[Any]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for memory in memories:
-        found[memory.status.value] = found.get(memory.status.value, 0) + 1
-    return found
 
 
 class _Timed:
@@ -339,11 +330,7 @@ def _over_seeds(bench: Bench, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _added(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    total: dict[str, int] = {}
-    for own in counts:
-        for key, n in own.items():
-            total[key] = total.get(key, 0) + n
-    return total
+    return dict(sum(map(Counter, counts), Counter()))
 
 
 def _rms(found: Mapping[str, Any], law: str, output: str, case: str | None = None) -> float:

@@ -55,6 +55,12 @@ def rmse(y: np.ndarray, simulated: np.ndarray) -> float:
     return float(size * np.sqrt(np.mean((error / size) ** 2))) if size else 0.0
 
 
+def tracking(error: np.ndarray, dt: float) -> dict[str, float]:
+    """RMS, max |e| and IAE = sum |e| dt of what a loop is off its set-point, (N,)."""
+    size = np.abs(error)
+    return {"RMS": float(np.sqrt(np.mean(error**2))), "max": float(size.max()), "IAE": float(np.sum(size) * dt)}
+
+
 def noise_ceiling(y: np.ndarray, noise_std: float) -> float:
     """FIT = 100 (1 - sqrt(N) s / ||y - mean(y)||_2): what a perfect model would score on y (N,), noise s included.
 
