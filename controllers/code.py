@@ -1,6 +1,6 @@
 """A scheduled PID as readable source text: C99 for a microcontroller, IEC 61131-3 Structured Text for a PLC.
 
-    v  = u0 + Kp (b r - y) + z + Kd f,     z+ = z + dt Ki (r - y) + what keeps z from winding up
+    v  = u0 + Kr r + Kp (b r - y) + z + Kd f,     z+ = z + dt Ki (r - y) + what keeps z from winding up
 
 Both texts are the law of `scheduled_pid`, operation by operation: tables of its numbers, which both languages share, and one body
 each. Of a basis the weights phi(rho) of the coefficients are computed, a gain is K = sum_j phi_j K_j. Nothing is allocated, and
@@ -81,6 +81,7 @@ def tables(law: ScheduledPID) -> list[Table]:
         _gains(law, "Kp", "proportional gains", ""),
         _gains(law, "Ki", "integral gains", "/s"),
         _gains(law, "Kd", "derivative gains", " s"),
+        _gains(law, "Kr", "feedforward of the set-points", ""),
         _u0(law),
         Table("B", ("NY",), law.b, f"set-point weights of the proportional part: {outputs}"),
         Table("C", ("NY",), law.c, f"set-point weights of the derivative part: {outputs}"),
@@ -107,7 +108,7 @@ def _gains(law: ScheduledPID, key: str, comment: str, time: str) -> Table:
 
 
 def _u0(law: ScheduledPID) -> Table:
-    comment, rows = "commands where there is no error", tuple(channel(law, a) for a in law.actuated)
+    comment, rows = "commands where there is no error and no set-point", tuple(channel(law, a) for a in law.actuated)
     if law.schedule is None:
         return Table("U0", ("NU",), law.u0[0], f"{comment}: {', '.join(rows)}")
     return Table("U0", ("NU", "TERMS"), law.u0.T, comment, rows)
@@ -180,7 +181,7 @@ def _head(law: ScheduledPID) -> list[str]:
     return [
         f"PID law '{law.name}' by {program()}. Change the law there, not this text.",
         "",
-        f"v  = U0 + KP (B r - y) + z + KD f{', the gains are functions of rho' * scheduled}",
+        f"v  = U0 + KR r + KP (B r - y) + z + KD f{', the gains are functions of rho' * scheduled}",
         "f  = DECAY f- + FRESH ((C r - y) - (C r - y)-), the filtered derivative; the minus marks the sample before",
         "u  = v within LOW and HIGH, and within RATE PERIOD of the last command",
         f"z+ = z + PERIOD KI (r - y){' + PERIOD / TRACKING (u - v)' * back}",
@@ -311,6 +312,7 @@ $schedule    s->valid = $finite;
         real own = $u0; /* the command without its integral part */
         real push = 0; /* what the error adds to the integral part */
         for (int j = 0; j < NY; ++j) {
+            own += $Kr * r[j];
             own += $Kp * (B[j] * r[j] - y[j]);
             own += $Kd * s->f[j];
             push += PERIOD * $Ki * (r[j] - y[j]);
@@ -404,6 +406,7 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
         "finite": "isfinite(rho)" if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
+        "Kr": gain("KR[i][j]"),
         "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
     }  # fmt: skip
     return C_HEADER.substitute(words), C_SOURCE.substitute(words)
@@ -548,7 +551,8 @@ FOR i := 1 TO NU DO
 $u0
     push := 0.0;
     FOR j := 1 TO NY DO
-$gains        own := own + $Kp * (B[j] * set_point[j] - measured[j]);
+$gains        own := own + $Kr * set_point[j];
+        own := own + $Kp * (B[j] * set_point[j] - measured[j]);
         own := own + $Kd * f[j];
         push := push + PERIOD * $Ki * (set_point[j] - measured[j]);
     END_FOR;
@@ -592,6 +596,7 @@ ST_LOCALS = """\
     gain_p : LREAL;
     gain_i : LREAL;
     gain_d : LREAL;
+    gain_r : LREAL;
     k : INT;
 """
 ST_SCHEDULE = """
@@ -656,10 +661,12 @@ ST_GAINS = """\
         gain_p := 0.0;
         gain_i := 0.0;
         gain_d := 0.0;
+        gain_r := 0.0;
         FOR k := 1 TO TERMS DO
             gain_p := gain_p + phi[k] * KP[i, j, k];
             gain_i := gain_i + phi[k] * KI[i, j, k];
             gain_d := gain_d + phi[k] * KD[i, j, k];
+            gain_r := gain_r + phi[k] * KR[i, j, k];
         END_FOR;
 """
 ST_BACK_CALCULATION = "    z[i] := z[i] + push + PERIOD / TRACKING[i] * (command[i] - v);"
@@ -684,7 +691,7 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "weights": ST_SCHEDULE + _st_weights(law) if scheduled else "",
         "finite": "schedule - schedule = 0.0" if scheduled else "TRUE",
         "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": ST_GAINS * scheduled,
-        **{key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd")},
+        **{key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr")},
         "integral": ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING,
     }  # fmt: skip
     return ST_BLOCK.substitute(words)

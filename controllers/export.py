@@ -49,9 +49,9 @@ def gain_points(law: ScheduledPID) -> np.ndarray:
 
 
 def gain_csv(law: ScheduledPID) -> str:
-    """Kp, Ki, Kd and u0 over the schedule as CSV, a column a number; units where they are known."""
+    """Kp, Ki, Kd, Kr and u0 over the schedule as CSV, a column a number; units where they are known."""
     header = [f"{law.schedule} [{law.unit(law.schedule)}]"] if law.schedule else []
-    for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s")):
+    for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s"), ("Kr", "")):
         header += [f"{name}_{a}_{m} {law.gain_unit(a, m, time)}".rstrip() for a in law.actuated for m in law.measured]
     header += [f"u0_{a}" + f" [{law.unit(a)}]" * bool(law.unit(a)) for a in law.actuated]
     rows = [",".join(header)]
@@ -64,8 +64,8 @@ def gain_csv(law: ScheduledPID) -> str:
 def gain_table(law: ScheduledPID) -> dict[str, Any]:
     """All of a PID law but its memory, as plain numbers; gains (nu, ny) by row."""
     named = lambda names: [{"name": name, "unit": law.unit(name)} for name in names]  # noqa: E731
-    keys, points = ("Kp", "Ki", "Kd", "u0"), gain_points(law)
-    rows = [dict(zip(keys, law.gains_at(rho), strict=True)) for rho in points]
+    points = gain_points(law)
+    rows = [law.gains_at(rho)._asdict() for rho in points]
     back = isinstance(law.anti_windup, BackCalculation)
     return {
         "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name, "law": LAW, "dt": law.dt,
@@ -74,7 +74,7 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": INTERPOLATION,
-        "largest_difference": _differences(points, rows, lambda rho: dict(zip(keys, law.gains_at(rho), strict=True))),
+        "largest_difference": _differences(points, rows, lambda rho: law.gains_at(rho)._asdict()),
         "rows": [({"rho": rho} if law.schedule else {}) | row for rho, row in zip(points, rows, strict=True)],
     }  # fmt: skip
 

@@ -99,12 +99,14 @@ class Structure:
     """What the law may look like: derivative part or not, filter time constant, entries of the gain matrices, weights, limits.
 
     Tf None: two samples. allowed (nu, ny): entries that may differ from 0. b: set-point weight of the proportional part.
+    feedforward: Kr = P(0)^-1, of the allowed entries alone, commands what holds the set-point before there is an error.
     """
 
     derivative: bool = True
     Tf: float | None = None
     allowed: np.ndarray | None = None
     b: float = field("", low=0.0, high=1.0, default=1.0)
+    feedforward: bool = True
     low: np.ndarray | None = None
     high: np.ndarray | None = None
     rate: np.ndarray | None = None
@@ -124,14 +126,16 @@ def design_pid(
     """A scheduled PID for `model` whose frozen loops keep `bounds` over the schedule range, for every model in `robust_to` too.
 
     knots: how many over the range, or their values; one knot, or a model without schedule, gives a fixed PID, tuned there and
-    checked there. setpoint (ny,): outputs that u0 holds, the usual set-point; default: those of the model's operating point.
+    checked there. setpoint (ny,): outputs that u0 + Kr r holds, the usual set-point; default: those of the operating point.
     scale (ny,): outputs that count as equally large; default: what unit inputs move in the middle of the range.
     Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
     """
     grid = _knots(model, knots)
     plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
-    u0 = plan.steady_inputs(setpoint)
-    plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), u0)  # refuses limits that cross, before any work
+    Kr, u0 = plan.steady_inputs(setpoint)
+    plan.law(
+        np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), Kr, u0
+    )  # refuses limits that cross, before any work
     omega = frequencies(model.dt)
     first = []
     for rho in grid:
@@ -144,7 +148,7 @@ def design_pid(
         if len(grid) > 1 or attempt:
             goals = np.exp(np.interp(rhos, grid, np.log(alone)))
             X = plan.tuned(rhos, plan.basis(rhos), omega, goals, X).X
-        law, checked = plan.law(X, u0), plan.between(rhos)
+        law, checked = plan.law(X, Kr, u0), plan.between(rhos)
         margins = plan.margins(law, checked)
         bad = margins.broken(bounds)
         if not bad.any():
@@ -311,7 +315,7 @@ class _Plan:
             **options,
         )
 
-    def law(self, X: np.ndarray, u0: np.ndarray) -> ScheduledPID:
+    def law(self, X: np.ndarray, Kr: np.ndarray, u0: np.ndarray) -> ScheduledPID:
         model, structure = self.model, self.structure
         nu, ny = len(model.inputs), len(model.outputs)
         Kp, Ki, *rest = X / self.scale
@@ -320,7 +324,7 @@ class _Plan:
             actuated=tuple(c.name for c in model.inputs),
             measured=tuple(c.name for c in model.outputs),
             references=tuple(f"{c.name}_set" for c in model.outputs),
-            dt=model.dt, Kp=Kp, Ki=Ki, Kd=rest[0] if rest else np.zeros_like(Kp), u0=u0,
+            dt=model.dt, Kp=Kp, Ki=Ki, Kd=rest[0] if rest else np.zeros_like(Kp), Kr=Kr, u0=u0,
             b=np.full(ny, structure.b), c=np.zeros(ny),
             low=each(structure.low, -np.inf), high=each(structure.high, np.inf), rate=each(structure.rate, np.inf), Tf=self.Tf,
             basis=CONSTANT if self.fixed else PiecewiseLinear(self.grid),
@@ -330,17 +334,19 @@ class _Plan:
             units={c.name: c.unit for c in (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))},
         )  # fmt: skip
 
-    def steady_inputs(self, setpoint: Sequence[float] | None) -> np.ndarray:
-        """Inputs that hold the outputs at the set-point, or at the model's operating point, at every knot; (m, nu)."""
+    def steady_inputs(self, setpoint: Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
+        """Kr (m, nu, ny) and u0 (m, nu) at every knot: u0 + Kr r holds the set-point, or the outputs of the operating point."""
         model = self.model
         phi = model.operating_point.basis(self.grid)
         u, y = phi @ model.operating_point.u, phi @ model.operating_point.y
-        if setpoint is None:
-            return u
-        if len(setpoint) != len(model.outputs):
+        if setpoint is not None and len(setpoint) != len(model.outputs):
             raise InputError(f"{len(setpoint)} set-points", file=model.name, mend=f"one for each of {len(model.outputs)} outputs")
+        held = y if setpoint is None else np.broadcast_to(np.asarray(setpoint, dtype=float), y.shape)
         gains = np.array([self.frozen(model, rho, np.ones(y.shape[1])).gain for rho in self.grid])
-        return u + np.einsum("iuy,iy->iu", np.linalg.pinv(gains), np.asarray(setpoint) - y)
+        used = np.zeros(gains.shape[1:]) if not self.structure.feedforward else np.ones(gains.shape[1:])
+        used = used if self.structure.allowed is None else used * np.transpose(self.structure.allowed)
+        Kr, whole = np.linalg.pinv(used * gains), np.linalg.pinv(gains)
+        return Kr, u + np.einsum("iuy,iy->iu", whole, held - y) - np.einsum("iuy,iy->iu", Kr, held)
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:
         """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""

@@ -1,12 +1,13 @@
 """Discrete PID whose gains are surfaces over the schedule; one constant surface is a fixed PID.
 
-    v  = u0 + Kp (b r - y) + z + Kd f                            parallel form, gains are matrices (nu, ny) of rho
+    v  = u0 + Kr r + Kp (b r - y) + z + Kd f                     parallel form, gains are matrices (nu, ny) of rho
     f  = a f- + (1 - a) ((c r - y) - (c r - y)-) / dt,           a = Tf / (Tf + dt): filtered derivative
     u  = v within `low`, `high` and `rate` from the last command
     z+ = z + dt Ki (r - y) + what keeps z from winding up
 
 The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0 leaves u where it
-is (both are the same law where rho stands still). As a transfer function from e = r - y, with b = c = 1 and z = exp(s dt):
+is, but for u0 + Kr r, what is known to hold the set-point (both are the same law where rho stands still). As a transfer function
+from e = r - y, with b = c = 1, Kr = 0 and z = exp(s dt):
 
     K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf)
 
@@ -47,16 +48,17 @@ class Clamping:
 AntiWindup = BackCalculation | Clamping
 ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
 KIND = "scheduled-pid"
-LAW = "u = u0 + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
+LAW = "u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
 
 
 @record
 class ScheduledPID:
     """u from r and y by a PID law with gains K(rho) = sum_j K_j phi_j(rho); see the module.
 
-    Kp (m, nu, ny), Ki [1/s], Kd [s], u0 (m, nu): coefficients of the m basis functions. `schedule` names the measured output
-    that is rho; outside `span` the gains hold their edge value. b, c (ny): set-point weights of the proportional and the
-    derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu): limits of the command.
+    Kp (m, nu, ny), Ki [1/s], Kd [s], Kr, u0 (m, nu): coefficients of the m basis functions; Kr: feedforward of the set-points.
+    `schedule` names the measured output that is rho; outside `span` the gains hold their edge value. b, c (ny): set-point weights
+    of the proportional and the derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu):
+    limits of the command.
     """
 
     actuated: tuple[str, ...]
@@ -66,6 +68,7 @@ class ScheduledPID:
     Kp: np.ndarray = field("m nu ny", low=-FAR, high=FAR)
     Ki: np.ndarray = field("m nu ny", unit="1/s", low=-FAR, high=FAR)
     Kd: np.ndarray = field("m nu ny", unit="s", low=-FAR, high=FAR)
+    Kr: np.ndarray = field("m nu ny", low=-FAR, high=FAR)
     u0: np.ndarray = field("m nu", low=-FAR, high=FAR)
     b: np.ndarray = field("ny")
     c: np.ndarray = field("ny")
@@ -110,8 +113,8 @@ class ScheduledPID:
             return np.full(len(self.actuated), np.inf)
         if self.anti_windup.tracking is not None:
             return np.atleast_1d(np.asarray(self.anti_windup.tracking, dtype=float))
-        Kp, Ki, _, _ = self.gains_at(float(np.mean(self.span)) if self.schedule else None)
-        direct, integral = np.linalg.norm(Kp, axis=1), np.linalg.norm(Ki, axis=1)
+        middle = self.gains_at(float(np.mean(self.span)) if self.schedule else None)
+        direct, integral = np.linalg.norm(middle.Kp, axis=1), np.linalg.norm(middle.Ki, axis=1)
         times = np.divide(direct, integral, out=np.full(len(direct), self.dt), where=integral > 0.0)
         return np.maximum(times, self.dt)
 
@@ -132,16 +135,16 @@ class ScheduledPID:
             return 0.0
         return float(np.max(np.maximum(self.span[0] - rho, rho - self.span[1]), initial=0.0) / np.ptp(self.span))
 
-    def gains_at(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Kp, Ki, Kd (nu, ny) and u0 (nu,) at one schedule value."""
+    def gains_at(self, rho: float | None = None) -> "Gains":
+        """Kp, Ki, Kd, Kr (nu, ny) and u0 (nu,) at one schedule value."""
         weight = self.basis(np.clip(0.0 if rho is None else rho, *self.span))
-        return tuple(np.tensordot(weight, K, 1) for K in (self.Kp, self.Ki, self.Kd, self.u0))  # type: ignore[return-value]
+        return Gains(*(np.tensordot(weight, getattr(self, key), 1) for key in Gains._fields))
 
     def at(self, rho: float | None = None) -> "control.StateSpace":
         """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y."""
         import control  # takes a second to import, and only this needs it
 
-        Kp, Ki, Kd, _ = self.gains_at(rho)
+        Kp, Ki, Kd, Kr, _ = self.gains_at(rho)
         nu, ny = Kp.shape
         a, one = self.Tf / (self.Tf + self.dt), np.eye(ny)
         e, proportional, derivative = (np.hstack([np.diag(weight), -one]) for weight in (np.ones(ny), self.b, self.c))
@@ -151,15 +154,14 @@ class ScheduledPID:
         A = np.vstack([integral, before, np.zeros((ny, nu + 2 * ny))])
         B = np.vstack([self.dt * Ki @ e, new, derivative])
         C = integral + Kd @ before
-        D = Kp @ proportional + Kd @ new
+        D = Kp @ proportional + Kd @ new + np.hstack([Kr, np.zeros((nu, ny))])
         return control.StateSpace(
             A, B, C, D, self.dt, inputs=[*self.references, *self.measured], outputs=list(self.actuated), name=self.name
         )
 
     def response(self, omega: np.ndarray, rho: float | None = None) -> np.ndarray:
-        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1."""
-        Kp, Ki, Kd, _ = self.gains_at(rho)
-        return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack([Kp, Ki, Kd]))
+        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1, without Kr."""
+        return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
 
     # ---- files ----------------------------------------------------------------------------------------------------------
 
@@ -171,7 +173,7 @@ class ScheduledPID:
             "law": LAW,
             "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
             "references": list(self.references), "schedule": self.schedule, "span": finite(self.span),
-            "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "u0": self.u0,
+            "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "Kr": self.Kr, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
         }  # fmt: skip
@@ -183,8 +185,9 @@ class ScheduledPID:
         span = content["span"]
         return cls(
             actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
-            dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"], u0=content["u0"], b=content["b"],
-            c=content["c"], low=unlimited(content["low"], -np.inf), high=unlimited(content["high"], np.inf),
+            dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"],
+            Kr=content.get("Kr", np.zeros(np.shape(content["Kp"]))), u0=content["u0"], b=content["b"], c=content["c"],
+            low=unlimited(content["low"], -np.inf), high=unlimited(content["high"], np.inf),
             rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=content["schedule"], name=content["name"], units=dict(content.get("units", {})),
@@ -197,7 +200,7 @@ class ScheduledPID:
     def gains(self) -> np.ndarray:
         """Every number of the law, but those of a basis that is not piecewise linear, in the order in which `law` takes them."""
         knots = self.basis.knots if isinstance(self.basis, PiecewiseLinear) else np.empty(0)  # other knots, same kernel
-        surfaces = (self.Kp, self.Ki * self.dt, self.Kd, self.u0)
+        surfaces = (self.Kp, self.Ki * self.dt, self.Kd, self.Kr, self.u0)
         numbers = (self.span, knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
         decay = self.Tf / (self.Tf + self.dt)
         every = np.concatenate([*(n.ravel() for n in numbers), self.dt / self.tracking, [decay, (1 - decay) / self.dt]])
@@ -256,7 +259,7 @@ class ScheduledPID:
         direct = []
         for i, own in enumerate(K.u0):
             for j in range(len(y)):
-                own = own + K.Kp[i][j] * (K.b[j] * r[j] - y[j]) + K.Kd[i][j] * f[j]
+                own = own + K.Kr[i][j] * r[j] + K.Kp[i][j] * (K.b[j] * r[j] - y[j]) + K.Kd[i][j] * f[j]
             direct.append(own)
         return direct, f, d
 
@@ -282,8 +285,8 @@ class ScheduledPID:
             return [flat[i * ny : (i + 1) * ny] for i in range(nu)]
 
         return _Numbers(
-            Kp=matrix(), Ki=matrix(), Kd=matrix(), u0=surface(nu), b=take(ny), c=take(ny), low=take(nu), high=take(nu),
-            rate=take(nu), follow=take(nu), decay=take(1)[0], fresh=take(1)[0],
+            Kp=matrix(), Ki=matrix(), Kd=matrix(), Kr=matrix(), u0=surface(nu), b=take(ny), c=take(ny), low=take(nu),
+            high=take(nu), rate=take(nu), follow=take(nu), decay=take(1)[0], fresh=take(1)[0],
         )  # fmt: skip
 
     def _split(self, state: Any) -> "_Memory":
@@ -293,12 +296,23 @@ class ScheduledPID:
         return _Memory(z, f, d, u, state[ends[-1]], state[ends[-1] + 1])
 
 
+class Gains(NamedTuple):
+    """The gains of a law at one schedule value, (nu, ny); u0 (nu,)."""
+
+    Kp: np.ndarray
+    Ki: np.ndarray
+    Kd: np.ndarray
+    Kr: np.ndarray
+    u0: np.ndarray
+
+
 class _Numbers(NamedTuple):
     """The numbers of the law at one schedule value."""
 
     Kp: list[list]
     Ki: list[list]
     Kd: list[list]
+    Kr: list[list]
     u0: list
     b: list
     c: list

@@ -147,13 +147,18 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--effort", type=float, default=3.0, metavar="M", help="largest control effort, in the least that is needed (default 3)"
     )
-    sub.add_argument("--setpoint", action="append", default=[], metavar="Y=V,..", help="usual set-point, which u0 holds")
+    sub.add_argument(
+        "--setpoint", action="append", default=[], metavar="Y=V,..", help="usual set-point, which the law holds without an error"
+    )
     for name, text in (("low", "lowest command"), ("high", "highest command"), ("rate", "largest rate of a command, per second")):
         sub.add_argument(f"--{name}", action="append", default=[], metavar="U=V,..", help=text)
     sub.add_argument("--filter", type=float, metavar="TF", help="time constant of the derivative filter in s (default 2 samples)")
     sub.add_argument("--no-derivative", action="store_true", help="PI instead of PID")
     sub.add_argument(
         "--setpoint-weight", type=float, default=1.0, metavar="B", help="share of the set-point in the proportional part"
+    )
+    sub.add_argument(
+        "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"
     )
     sub.add_argument("--plant", metavar="PLANT", help=f"nmpc: {PLANT_HELP}")
     sub.add_argument(

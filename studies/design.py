@@ -11,7 +11,7 @@ from controllers.files import load_controller, save_controller
 from controllers.mpc import default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, frequencies, loops_of, worst_margins
-from controllers.scheduled_pid import ScheduledPID
+from controllers.scheduled_pid import Gains, ScheduledPID
 from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, parse_numbers, run_folder
 from workbench.errors import InputError, check_known
@@ -124,7 +124,13 @@ def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PID
     bounds = _bounds(options)
     low, high, rate = (_by_name(getattr(options, key), model, none) for key, none in LIMITS)
     structure = Structure(
-        derivative=not options.no_derivative, Tf=options.filter, b=options.setpoint_weight, low=low, high=high, rate=rate
+        derivative=not options.no_derivative,
+        Tf=options.filter,
+        b=options.setpoint_weight,
+        feedforward=not options.no_feedforward,
+        low=low,
+        high=high,
+        rate=rate,
     )
     return design_pid(
         model, knots=_knots(options, kind, model), bounds=bounds, structure=structure,
@@ -221,7 +227,7 @@ def design_pictures(
     gains = {own: [found.gains_at(value) for value in rho] for own, found in laws.items()}
     surfaces = {
         f"{kind}, {u.name} from {y.name}": {own: np.array([g[k][i, j] for g in each]) for own, each in gains.items()}
-        for k, kind in enumerate(("Kp", "Ki", "Kd"))
+        for k, kind in enumerate(Gains._fields[:-1])
         for i, u in enumerate(model.inputs)
         for j, y in enumerate(model.outputs)
     }

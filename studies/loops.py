@@ -1,20 +1,25 @@
 """What loops are compared on: for each machine the laws that are designed, and the scenarios of a whole run.
 
 Laws are designed as a user would: records of the machine's plan, a model, then `design`. Nothing that a law does not measure is
-told to it but what its file holds; the nonlinear MPC's file holds the plant.
+told to it but what its file holds; the nonlinear MPC's file holds the plant. All PIDs of a machine keep the same bounds; what
+those leave open, the set-point weight of a PID and the price that an MPC pays for moves, is chosen by `rehearsal` on the
+identified model, by one rule for all; the nonlinear MPC pays the MPC's price.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from controllers.mpc import default_weights, design_mpc
+from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import design_nmpc
 from controllers.pid_design import PIDDesign, Structure, design_pid
+from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
 from plants import PLANTS
 from studies.experiments import plan
+from studies.rehearsal import Rehearsal, calmest, rehearsal
 from workbench.data import Dataset
 from workbench.identify.lti import LTI
 from workbench.identify.ssm import SSM
@@ -24,6 +29,10 @@ from workbench.records import record
 from workbench.simulate import Scenario, simulate
 
 Say = Callable[[str], None]
+
+REHEARSED = 1500  # samples
+WEIGHTS = (0.4, 0.7, 1.0)  # set-point weights of a PID, from calm to brisk
+PRICES = (0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4)  # of an MPC's moves
 
 
 @record
@@ -43,11 +52,49 @@ class Case:
 
 @record
 class Designed:
-    """Laws by name, the models they were designed on by name, and the designs of the PIDs among them by name."""
+    """Laws by name, the models they were designed on by name, and the designs of the PIDs among them by name.
+
+    rehearsed: by law the candidates and what each has cost on the model; taken: by law the candidate that it is.
+    """
 
     laws: Mapping[str, object]
     models: Mapping[str, LPVModel]
     pids: Mapping[str, PIDDesign]
+    rehearsed: Mapping[str, Mapping[str, float]]
+    taken: Mapping[str, str]
+
+
+class _Chosen:
+    """Laws as they are chosen, one after the other."""
+
+    def __init__(self, rehearsals: Mapping[str, Rehearsal], progress: Say):
+        self.rehearsals, self.progress = rehearsals, progress
+        self.laws: dict[str, object] = {}
+        self.pids: dict[str, PIDDesign] = {}
+        self.rehearsed: dict[str, dict[str, float]] = {}
+        self.taken: dict[str, str] = {}
+
+    def pid(self, name: str, found: PIDDesign, models: Sequence[str]) -> ScheduledPID:
+        """The law with each of the set-point weights."""
+        candidates = {f"b = {b:g}": replace(found.law, b=np.full(len(found.law.measured), b)) for b in WEIGHTS}
+        law = self._take(name, candidates, models)
+        self.pids[name] = replace(found, law=law)
+        return law
+
+    def mpc(self, name: str, make: Callable[[float], MPC], models: Sequence[str]) -> float:
+        """The price of moves of the law that was taken."""
+        candidates = {f"move price {price:g}": make(price) for price in PRICES}
+        self._take(name, candidates, models)
+        return PRICES[list(candidates).index(self.taken[name])]
+
+    def _take(self, name: str, candidates: Mapping[str, Any], models: Sequence[str]) -> Any:
+        self.progress(f"{name}: {len(candidates)} candidates on the identified model")
+        self.taken[name], self.rehearsed[name] = calmest(candidates, [self.rehearsals[model] for model in models])
+        self.laws[name] = candidates[self.taken[name]]
+        return self.laws[name]
+
+    def designed(self, models: Mapping[str, LPVModel]) -> Designed:
+        return Designed(self.laws, models, self.pids, self.rehearsed, self.taken)
 
 
 @record
@@ -90,16 +137,21 @@ def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
     roles = {"inputs": ("V1", "V2"), "outputs": ("w3", "theta"), "schedule": ("r2",)}
     progress("web-winding: identifying on prbs1 and rbs")
     model = SSM(order=6 if quick else None).fit(_records(WINDING, ("prbs1", "rbs"), seed, roles))
-    pids = {}
+    seen = rehearsal(model, (SPEED, 0.0), (5.0, 5.0), REHEARSED, seed)  # rad/s, deg
+    chosen = _Chosen({model.name: seen}, progress)
+    fallback: Any = None
     for name, knots in (("fixed PID", 1), ("scheduled PID", 3 if quick else 5)):
         progress(f"web-winding: designing the {name}")
-        pids[name] = design_pid(model, knots=knots, structure=WINDING_LIMITS, setpoint=(SPEED, 0.0))
-    fallback = pids["scheduled PID"].law
-    laws: dict[str, object] = {name: found.law for name, found in pids.items()}
+        found = design_pid(model, knots=knots, structure=WINDING_LIMITS, setpoint=(SPEED, 0.0))
+        fallback = chosen.pid(name, found, [model.name])
     low, high = np.array([-np.inf, -20.0]), np.array([np.inf, 20.0])
-    laws["LPV-MPC"] = design_mpc(model, fallback, y_low=low, y_high=high)
-    laws["NMPC"] = design_nmpc(WINDING, fallback, weights=default_weights(model), y_low=low, y_high=high)
-    return Designed(laws, {model.name: model}, pids)
+    price = chosen.mpc(
+        "LPV-MPC",
+        lambda move: design_mpc(model, fallback, weights=default_weights(model, move), y_low=low, y_high=high),
+        [model.name],
+    )
+    chosen.laws["NMPC"] = design_nmpc(WINDING, fallback, weights=default_weights(model, price), y_low=low, y_high=high)
+    return chosen.designed({model.name: model})
 
 
 def _winding_cases() -> tuple[Case, ...]:
@@ -161,16 +213,13 @@ def _design_robot(quick: bool, seed: int, progress: Say) -> Designed:
         models[name] = replace(found, name=name)
     progress("welding-robot: designing")
     nominal, heavy = models["nominal"], models["heavy"]
-    pids = {
-        "PID": design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)),
-        "robust PID": design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy]),
-    }
-    fallback = pids["robust PID"].law
-    laws: dict[str, object] = {name: found.law for name, found in pids.items()}
-    weights = default_weights(nominal, move=1e-4)
-    laws["MPC"] = design_mpc(nominal, fallback, weights=weights)
-    laws["NMPC"] = design_nmpc(ROBOT, fallback, weights=weights)
-    return Designed(laws, models, pids)
+    chosen = _Chosen({name: rehearsal(own, (0.0,), (0.6,), REHEARSED, seed) for name, own in models.items()}, progress)  # m/s
+    chosen.pid("PID", design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)), ["nominal"])
+    robust = design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy])
+    fallback = chosen.pid("robust PID", robust, list(models))
+    price = chosen.mpc("MPC", lambda move: design_mpc(nominal, fallback, weights=default_weights(nominal, move)), ["nominal"])
+    chosen.laws["NMPC"] = design_nmpc(ROBOT, fallback, weights=default_weights(nominal, price))
+    return chosen.designed(models)
 
 
 def _robot_cases() -> tuple[Case, ...]:

@@ -36,7 +36,8 @@ def drawn(seed, nu, ny, basis=None, m=1, span=(0.011, 0.0264), **options) -> Sch
     scheduled = {} if basis is None else {"basis": basis, "schedule": "r2", "span": span}
     return ScheduledPID(
         ("V1", "V2", "V3")[:nu], ("w3", "theta", "T")[:ny], ("w3_set", "theta_set", "T_set")[:ny], 0.04, some(m, nu, ny),
-        5.0 * some(m, nu, ny), 0.1 * some(m, nu, ny), some(m, nu), random.uniform(0.1, 0.9, ny), random.uniform(0.1, 0.9, ny),
+        5.0 * some(m, nu, ny), 0.1 * some(m, nu, ny), some(m, nu, ny), some(m, nu), random.uniform(0.1, 0.9, ny),
+        random.uniform(0.1, 0.9, ny),
         **({"low": random.uniform(-4.0, -3.0, nu), "high": random.uniform(3.0, 4.0, nu), "rate": random.uniform(8.0, 20.0, nu),
             "Tf": 0.07, "units": UNITS} | scheduled | options),
     )  # fmt: skip
@@ -172,6 +173,7 @@ def test_the_signals_try_everything():
 
 MISTAKES = {
     "gains transposed": ("KP[i][j]", "KP[j % NU][i]"), "gains mixed up": ("KI[i][j]", "KD[i][j]"),
+    "feedforward of the error": ("at(KR[i][j], phi) * r[j]", "at(KR[i][j], phi) * (r[j] - y[j])"),
     "no weight of the set-point": ("B[j] * r[j]", "r[j]"), "the other weight": ("C[j] * r[j]", "B[j] * r[j]"),
     "set-point for measurement": ("(r[j] - y[j])", "(y[j] - r[j])"), "wrong segment": ("rho >= KNOTS[k + 1]", "rho >= KNOTS[k]"),
     "no edge value": ("clipped(rho, SPAN[0], SPAN[1])", "rho"), "share turned round": ("phi[k] = 1 - share", "phi[k] = share"),
@@ -208,12 +210,14 @@ def test_a_mistake_would_be_seen(tmp_path, mistake):
 def winding():
     """A scheduled law on the winding machine, and r, y, r2 of the staircase that it drove: 2250 samples with noise."""
     _, u0 = WEB_WINDING.equilibrium()
+    Kr = np.array([[[2e-3, -1e-3], [4e-3, 3e-3]]] * 3) * [[[0.9]], [[1.0]], [[1.2]]]
     law = ScheduledPID(
         ("V2", "V1"), ("w3", "theta"), ("w3_set", "theta_set"), WEB_WINDING.dt,
         Kp=np.array([[[0.01, 0.001], [0.0005, -0.005]]] * 3) * [[[0.8]], [[1.0]], [[1.6]]],
         Ki=np.array([[[0.05, 0.002], [0.01, -0.02]]] * 3) * [[[1.3]], [[1.0]], [[0.9]]],
-        Kd=np.array([[[1e-3, 1e-5], [2e-5, -1e-4]]] * 3), u0=np.outer([1.0, 1.03, 1.1], u0[::-1]), b=(0.9, 0.7), c=(0.1, 0.0),
-        low=(-0.5, -0.4), high=(2.6, 1.7), rate=(1.2, 3.0), Tf=0.08, basis=PiecewiseLinear((0.0112, 0.0116, 0.0124)),
+        Kd=np.array([[[1e-3, 1e-5], [2e-5, -1e-4]]] * 3),
+        Kr=Kr, u0=np.outer([1.0, 1.03, 1.1], u0[::-1]) - Kr @ [100.0, 0.0], b=(0.9, 0.7), c=(0.1, 0.0),
+        low=(-0.5, -0.4), high=(2.4, 1.7), rate=(1.2, 3.0), Tf=0.08, basis=PiecewiseLinear((0.0112, 0.0116, 0.0124)),
         schedule="r2", span=(0.0112, 0.0124), units=UNITS,
     )  # fmt: skip
     run = simulate(WEB_WINDING, law, plan("web-winding", "staircase").scenario(1), bumpless=True).experiment
@@ -341,7 +345,7 @@ def test_the_gain_tables_are_the_law_up_to_what_they_state(tmp_path, key):
     lines = [line.split(",") for line in gain_csv(law).splitlines()]
     at, numbers = np.array([row["rho"] for row in content["rows"]]), np.array(lines[1:], dtype=float)
     assert (content["schedule"], lines[0][0]) == ({"name": "r2", "unit": "m"}, "r2 [m]")
-    found = dict.fromkeys(("Kp", "Ki", "Kd", "u0"), 0.0)
+    found = dict.fromkeys(("Kp", "Ki", "Kd", "Kr", "u0"), 0.0)
     for rho in np.random.default_rng(1).uniform(0.0, 0.04, 300):
         exact, column = law.gains_at(rho), 1
         for name, value in zip(found, exact, strict=True):

@@ -90,15 +90,44 @@ def test_a_fixed_law_pays_for_the_turning_gains(designed):
     assert ends.sensitivity.max() > 1.5
 
 
-def test_u0_holds_the_setpoint_at_every_knot(designed):
-    model = machine()
+def steady(rho, u):
+    """Outputs (ny,) of the machine at rest under u."""
+    A, B, C, D = machine().freeze(rho)
+    return (C @ np.linalg.solve(np.eye(2) - A, B) + D) @ (u - [0.5, 0.2]) + [10.0, 1.0]
+
+
+def test_the_feedforward_holds_every_setpoint_at_every_knot(designed):
     for rho in (1.0, 1.5, 2.0):
-        _, _, _, u0 = designed.law.gains_at(rho)
-        A, B, C, D = model.freeze(rho)
-        steady = C @ np.linalg.solve(np.eye(2) - A, B) + D
-        np.testing.assert_allclose(steady @ (u0 - [0.5, 0.2]) + [10.0, 1.0], [12.0, 0.0], atol=1e-9)
-    plain = design_pid(machine(), knots=1)
-    np.testing.assert_allclose(plain.law.u0, [[0.5, 0.2]])
+        gains = designed.law.gains_at(rho)
+        for r in ([12.0, 0.0], [10.0, 1.0], [-3.0, 4.0]):
+            np.testing.assert_allclose(steady(rho, gains.u0 + gains.Kr @ r), r, atol=1e-9)
+
+
+def test_without_feedforward_u0_holds_the_usual_setpoint():
+    bare = Structure(feedforward=False)
+    found = design_pid(machine(), knots=[1.0, 2.0], structure=bare, setpoint=(12.0, 0.0)).law
+    assert (found.Kr == 0.0).all()
+    for rho in (1.0, 2.0):
+        np.testing.assert_allclose(steady(rho, found.gains_at(rho).u0), [12.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(design_pid(machine(), knots=1, structure=bare).law.u0, [[0.5, 0.2]])
+
+
+def test_two_loops_have_two_feedforwards():
+    """Each loop's own inverse gain; at the usual set-point the two commands together hold both outputs all the same."""
+    loops = Structure(allowed=np.eye(2))
+    found = design_pid(machine(), knots=[1.2], structure=loops, setpoint=(12.0, 0.5)).law
+    A, B, C, D = machine().freeze(1.2)
+    gain = C @ np.linalg.solve(np.eye(2) - A, B) + D
+    np.testing.assert_allclose(found.Kr[0], np.diag(1.0 / np.diag(gain)), rtol=1e-9)
+    np.testing.assert_allclose(steady(1.2, found.u0[0] + found.Kr[0] @ [12.0, 0.5]), [12.0, 0.5], atol=1e-9)
+
+
+def test_the_feedforward_leaves_the_loop_alone(designed):
+    """The same feedback with and without: margins say nothing of set-points."""
+    bare = design_pid(machine(), knots=1, structure=Structure(feedforward=False)).law
+    whole = design_pid(machine(), knots=1).law
+    for key in ("Kp", "Ki", "Kd"):
+        np.testing.assert_array_equal(getattr(bare, key), getattr(whole, key))
 
 
 def test_the_law_of_one_model_is_robust_to_another(tmp_path):

@@ -22,16 +22,17 @@ from workbench.simulate import Scenario, simulate
 DT = 0.04
 NAMES = (("V2", "V1"), ("w3", "theta"), ("w3_set", "theta_set"))
 KP, KI, KD = np.array([[0.8, -0.3], [0.2, 0.5]]), np.array([[0.4, 0.1], [-0.2, 0.6]]), np.array([[0.05, 0.0], [0.02, -0.03]])
+KR = np.array([[0.15, -0.45], [0.35, 0.25]])
 
 
 def full(**options) -> ScheduledPID:
-    return pid(*NAMES, DT, KP, KI, KD, **{"Tf": 0.1, "u0": (1.0, -2.0), "b": (0.7, 1.0), "c": (0.2, 0.0), **options})
+    return pid(*NAMES, DT, KP, KI, KD, **{"Kr": KR, "Tf": 0.1, "u0": (1.0, -2.0), "b": (0.7, 1.0), "c": (0.2, 0.0), **options})
 
 
 def scheduled(**options) -> ScheduledPID:
     """Gains that move linearly from one set at 0.01 to another at 0.03."""
     low = full(**options)
-    stacked = {key: np.concatenate([getattr(low, key), 2.0 * getattr(low, key)]) for key in ("Kp", "Ki", "Kd")}
+    stacked = {key: np.concatenate([getattr(low, key), 2.0 * getattr(low, key)]) for key in ("Kp", "Ki", "Kd", "Kr")}
     return replace(
         low,
         **stacked,
@@ -67,7 +68,7 @@ def test_the_law_is_its_equation():
     z = np.zeros(2)
     for k in range(len(r)):
         f = sum((1 - a) * a ** (k - i) * steps[i] for i in range(k + 1))
-        v = np.array([1.0, -2.0]) + KP @ (np.array([0.7, 1.0]) * r[k] - y[k]) + z + KD @ f
+        v = np.array([1.0, -2.0]) + KR @ r[k] + KP @ (np.array([0.7, 1.0]) * r[k] - y[k]) + z + KD @ f
         u = v if k == 0 else np.clip(v, got[k - 1] - np.array([20.0, 15.0]) * DT, got[k - 1] + np.array([20.0, 15.0]) * DT)
         u = np.clip(u, (-2.0, -3.0), (3.0, 1.0))
         np.testing.assert_allclose(got[k], u, atol=1e-11)
@@ -86,7 +87,7 @@ def test_without_limits_it_is_the_linear_system_of_python_control():
 
 @pytest.mark.parametrize("Tf", [0.0, 0.1])
 def test_its_frequency_response_is_that_of_the_linear_system(Tf):
-    law = full(b=1.0, c=1.0, Tf=Tf)
+    law = full(b=1.0, c=1.0, Tf=Tf, Kr=np.zeros((2, 2)))
     omega = np.geomspace(1e-3, 0.999 * np.pi / DT, 50)
     linear = law.at()(np.exp(1j * omega * DT))  # (nu, 2 ny, N) from (r, y)
     np.testing.assert_allclose(law.response(omega), np.moveaxis(linear, 2, 0)[:, :, :2], rtol=1e-9)
@@ -122,8 +123,8 @@ def test_gains_between_and_outside_the_knots():
 
 def test_at_a_frozen_schedule_it_is_the_fixed_law_there():
     law, r, y = scheduled(), *signals(4, 60)
-    Kp, Ki, Kd, u0 = law.gains_at(0.017)
-    fixed = replace(full(), Kp=Kp[None], Ki=Ki[None], Kd=Kd[None], u0=u0[None], anti_windup=BackCalculation(law.tracking))
+    frozen = {key: K[None] for key, K in law.gains_at(0.017)._asdict().items()}
+    fixed = replace(full(), **frozen, anti_windup=BackCalculation(law.tracking))
     np.testing.assert_allclose(through(law, r, y, np.full(60, 0.017)), through(fixed, r, y), atol=1e-12)
 
 
@@ -158,16 +159,17 @@ class MisplacedPI(ScheduledPID):
     """The same surfaces with Ki(rho) times the integral of e: same frozen law, another scheduled one."""
 
     def law(self, gains, state, r, y, rho=None):
-        Kp, Ki, _, u0 = self.gains_at(rho)
+        Kp, Ki, *_, u0 = self.gains_at(rho)
         e = np.asarray(r) - np.asarray(y)
         u = u0 + Kp @ e + Ki @ state[:2]
         return list(u), [*(state[:2] + self.dt * e), *state[2:]]
 
 
 def test_a_moving_schedule_moves_the_command_only_where_the_integral_is_misplaced():
-    """Steady state under load, e = 0, then the schedule moves with e still 0: nothing but u0(rho) may move the command."""
+    """Steady state under load, e = 0, then the schedule moves with e still 0: nothing but u0 and Kr r may move the command."""
     base = scheduled(b=1.0)
-    right = replace(base, u0=np.zeros_like(base.u0), Kd=np.zeros_like(base.Kd))
+    nothing = {key: np.zeros_like(getattr(base, key)) for key in ("u0", "Kd", "Kr")}
+    right = replace(base, **nothing)
     wrong = MisplacedPI(**{name: getattr(right, name) for name in right.__dataclass_fields__})
     n = 100
     r, y, rho = np.zeros((n, 2)), np.zeros((n, 2)), np.full(n, 0.01)
@@ -185,7 +187,7 @@ def test_a_moving_schedule_in_closed_loop():
     n = 1300
     rho = np.interp(np.arange(n), [1000, 1050], [0.01, 0.03])
     swing = {}
-    law = replace(scheduled(b=1.0), Kd=np.zeros((2, 2, 2)), u0=np.zeros((2, 2)))
+    law = replace(scheduled(b=1.0), Kd=np.zeros((2, 2, 2)), Kr=np.zeros((2, 2, 2)), u0=np.zeros((2, 2)))
     for kind, one in (("right", law), ("wrong", MisplacedPI(**{f: getattr(law, f) for f in law.__dataclass_fields__}))):
         x, state, out = np.zeros(2), one.init(), []
         for k in range(n):
@@ -253,7 +255,8 @@ def test_the_compiled_law_commands_what_the_law_commands(anti_windup):
     law = ScheduledPID(
         *NAMES, DT, Kp=np.array([[[0.01, 0.001], [0.0, -0.005]]] * 2) * [[[1.0]], [[1.5]]],
         Ki=np.array([[[0.05, 0.0], [0.01, -0.02]]] * 2), Kd=np.array([[[1e-3, 0.0], [0.0, -1e-4]]] * 2),
-        u0=np.tile(u0[::-1], (2, 1)), b=(1.0, 0.8), c=(0.0, 0.0), low=(0.0, 0.0), high=(2.6, 2.0), rate=(2.0, np.inf), Tf=0.08,
+        Kr=np.array([[[2e-3, -1e-3], [4e-3, 3e-3]], [[1e-3, -2e-3], [5e-3, 2e-3]]]), u0=np.tile(u0[::-1], (2, 1)),
+        b=(1.0, 0.8), c=(0.0, 0.0), low=(0.0, 0.0), high=(2.6, 2.0), rate=(2.0, np.inf), Tf=0.08,
         anti_windup=anti_windup, basis=PiecewiseLinear((0.0115, 0.0125)), schedule="r2", span=(0.0115, 0.0125),
     )  # fmt: skip
     n = 500
@@ -281,7 +284,7 @@ def test_closed_loop_equals_linear_theory_on_a_linear_plant():
         outputs=(Channel("x", "", "output"),), parameters=(), equation=lambda x, u, p, at: {"x": -x.x + u.u},
         measure=lambda x, p: {"x": x.x}, dt=0.1, ports=(), start=Start(fixed={"x": 0.0}, solve_for=("u",), zero=("x",)),
     )  # fmt: skip
-    law = pid(("u",), ("x",), ("r",), 0.1, [[1.5]], [[0.8]], [[0.2]], Tf=0.3, b=0.6)
+    law = pid(("u",), ("x",), ("r",), 0.1, [[1.5]], [[0.8]], [[0.2]], Kr=[[0.4]], Tf=0.3, b=0.6)
     n = 120
     r = np.concatenate([np.zeros(1), np.ones(n - 1)])
     run = simulate(plant, law, Scenario("step", {"r": r}), substeps=40).experiment
@@ -302,7 +305,7 @@ def test_bad_laws_are_refused():
     with pytest.raises(InputError, match="not named"):
         replace(
             full(),
-            **{k: np.tile(getattr(full(), k), (2, 1, 1)) for k in ("Kp", "Ki", "Kd")},
+            **{k: np.tile(getattr(full(), k), (2, 1, 1)) for k in ("Kp", "Ki", "Kd", "Kr")},
             u0=np.zeros((2, 2)),
             basis=Powers((0, 1)),
         )

@@ -10,7 +10,7 @@ import pytest
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
 from controllers.pid_design import design_pid
-from controllers.scheduled_pid import BackCalculation, Clamping
+from controllers.scheduled_pid import BackCalculation, Clamping, Gains
 from plants import WEB_WINDING
 from studies.cli import main
 from studies.experiments import plan, web_winding_loops
@@ -65,10 +65,11 @@ def test_the_gain_table_holds_the_gains_of_the_law(folder):
     assert "Ki_V1_theta [V/(deg)/s]" in rows[0]
     assert len(rows) == 2
     for row in rows:
-        Kp, Ki, Kd, u0 = law.gains_at(float(row["r2 [m]"]))
+        Kp, Ki, Kd, Kr, u0 = law.gains_at(float(row["r2 [m]"]))
         assert float(row["Kp_V2_w3 [V/(rad/s)]"]) == Kp[1, 0]
         assert float(row["Ki_V1_theta [V/(deg)/s]"]) == Ki[0, 1]
         assert float(row["Kd_V2_theta [V/(deg) s]"]) == Kd[1, 1]
+        assert float(row["Kr_V2_w3 [V/(rad/s)]"]) == Kr[1, 0]
         assert float(row["u0_V2 [V]"]) == u0[1]
 
 
@@ -223,7 +224,7 @@ def test_a_controller_file_never_runs_code_of_its_own(folder, tmp_path, capsys):
 
 def test_a_schedule_beyond_the_law_is_said(tmp_path, capsys):
     loops = web_winding_loops()
-    twice = {key: np.repeat(getattr(loops, key), 2, axis=0) for key in ("Kp", "Ki", "Kd", "u0")}
+    twice = {key: np.repeat(getattr(loops, key), 2, axis=0) for key in Gains._fields}
     for name, span in (("wide", (0.011, 0.0264)), ("narrow", (0.011, 0.02))):
         own = replace(loops, **twice, schedule="r2", span=np.array(span), basis=PiecewiseLinear(span))
         save_controller(own, tmp_path / f"{name}.json")

@@ -20,7 +20,7 @@ from workbench.lpv import Gaussian, PiecewiseLinear
 
 @pytest.fixture
 def law():
-    gains = {key: np.arange(1.0, 5.0).reshape(2, 2, 1) for key in ("Kp", "Ki", "Kd")}
+    gains = {key: np.arange(1.0, 5.0).reshape(2, 2, 1) for key in ("Kp", "Ki", "Kd", "Kr")}
     return ScheduledPID(
         ("V1", "V2"), ("w3",), ("w3_set",), 0.04, **gains, u0=np.ones((2, 2)), b=[0.5], c=[0.0], low=[0.0, 0.0],
         high=[5.0, np.inf], rate=[np.inf] * 2, Tf=0.1, basis=PiecewiseLinear((0.01, 0.03)), schedule="r2", span=(0.01, 0.03),
@@ -46,7 +46,14 @@ def test_each_form_writes_its_files(tmp_path, law, capsys):
     assert exported(tmp_path, law, "--to", "st")[1]["scheduled_pid.st"] == st_code(law, "scheduled_pid")
     assert exported(tmp_path, law, "--to", "csv")[1]["gains.csv"].startswith("r2 [],Kp_V1_w3 [V/(rad/s)],Kp_V2_w3,")
     gains = json.loads(exported(tmp_path, law, "--to", "json")[1]["gains.json"])
-    assert gains["rows"][1] == {"rho": 0.03, "Kp": [[3.0], [4.0]], "Ki": [[3.0], [4.0]], "Kd": [[3.0], [4.0]], "u0": [1.0, 1.0]}
+    assert gains["rows"][1] == {
+        "rho": 0.03,
+        "Kp": [[3.0], [4.0]],
+        "Ki": [[3.0], [4.0]],
+        "Kd": [[3.0], [4.0]],
+        "Kr": [[3.0], [4.0]],
+        "u0": [1.0, 1.0],
+    }
     assert gains["high"] == [5.0, None]
     said = capsys.readouterr().out
     assert f"c -> {tmp_path / 'out' / 'web.c'}" in said

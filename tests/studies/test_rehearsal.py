@@ -1,0 +1,79 @@
+"""Candidates on the identified model: the loop is the model's own, the rule is the one that is said."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from controllers.pid import pid
+from studies.rehearsal import NO_WORSE, calmest, rehearsal
+from tests.controllers.test_pid_design import machine
+from workbench.lpv import Predictor
+
+SIZE = np.array([2.0, 0.5])
+
+
+@pytest.fixture
+def noisy():
+    """The machine with an innovation that is fed back into its states."""
+    model = machine()
+    zeros = np.zeros_like(model.A)
+    return replace(
+        model,
+        predictor=Predictor(zeros, np.zeros_like(model.B), np.stack([[[0.3, 0.1], [-0.2, 0.4]]] * 2)),
+        noise=np.array([[0.02, 0.01], [0.01, 0.03]]),
+    )
+
+
+def law(gain=1.0, **options):
+    Ki = gain * np.linalg.inv([[3.5, 3.5], [-2.0, 2.0]])  # of the steady gains in the middle
+    return pid(("V1", "V2"), ("w3", "theta"), ("r1", "r2"), 0.1, np.zeros((2, 2)), Ki, **options)
+
+
+def test_the_loop_is_linear_theory_s_at_a_schedule_that_stands(noisy):
+    """python-control closes the loop of the innovation form and the law, with r and e from outside."""
+    seen = replace(rehearsal(noisy, (10.0, 1.0), SIZE, 300, 3), rho=np.full(300, 1.3))
+    one = law(u0=np.array([0.5, 0.2]))
+    A, B, C, _ = noisy.freeze(1.3)
+    K = noisy.predictor.K[0]
+    x, y = ["x1", "x2"], ["w3", "theta"]
+    plant = control.ss(
+        A,
+        np.hstack([B, K]),
+        C,
+        np.hstack([np.zeros((2, 2)), np.eye(2)]),
+        0.1,
+        inputs=["V1", "V2", "e1", "e2"],
+        outputs=y,
+        states=x,
+    )
+    loop = control.interconnect([plant, one.at()], inplist=["r1", "r2", "e1", "e2"], outlist=y, inputs=["r1", "r2", "e1", "e2"])
+    moved = seen.references - [10.0, 1.0]  # the law sees set-points and outputs, the linear system deviations
+    _, out = control.forced_response(loop, T=0.1 * np.arange(300), U=np.hstack([moved, seen.e]).T)
+    assert seen.cost(one) == pytest.approx(np.mean(((moved - out.T) / SIZE) ** 2), rel=1e-9)
+
+
+def test_set_points_noise_and_schedule_are_what_they_are_said_to_be(noisy):
+    seen = rehearsal(noisy, (10.0, 1.0), SIZE, 20000, 5)
+    off = seen.references - [10.0, 1.0]
+    assert (np.abs(off) <= SIZE).all()
+    np.testing.assert_allclose(np.abs(off).max(axis=0), SIZE, rtol=0.02)
+    for j in range(2):
+        changes = np.nonzero(np.diff(off[:, j]))[0]
+        assert np.diff(changes).min() >= 10  # 1 s
+        assert np.diff(changes).max() <= 40
+    assert not np.array_equal(np.nonzero(np.diff(off[:, 0]))[0], np.nonzero(np.diff(off[:, 1]))[0])
+    np.testing.assert_allclose(np.cov(seen.e.T), noisy.noise, rtol=0.1)
+    np.testing.assert_array_equal(seen.rho[[0, -1]], noisy.span)
+    assert not np.array_equal(seen.references, rehearsal(noisy, (10.0, 1.0), SIZE, 20000, 6).references)
+
+
+def test_the_calmest_that_costs_no_more_is_taken(noisy):
+    seen = [rehearsal(noisy, (10.0, 1.0), SIZE, 400, seed) for seed in (1, 2)]
+    candidates = {f"{gain}": law(gain) for gain in (0.0, 0.3, 1.8, 2.0, 9.0)}
+    name, costs = calmest(candidates, seen)
+    assert name == "1.8"  # 2 is a little better
+    assert costs["2.0"] < costs["1.8"] < NO_WORSE * costs["2.0"]
+    assert costs["9.0"] > 10.0  # the loop runs away
+    assert costs["0.3"] == pytest.approx(np.mean([own.cost(candidates["0.3"]) for own in seen]))
