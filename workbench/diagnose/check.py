@@ -95,7 +95,10 @@ def _check_channels(plant: Plant, e: Experiment) -> None:
 
 
 def _unlogged(plant: Plant, e: Experiment) -> Iterator[Note]:
-    """Inputs that move on their own and are not in the record: what goes with them cannot be seen, and nothing said of it."""
+    """Outputs, and inputs that move on their own, that are not in the record: what goes with them cannot be seen."""
+    unseen = [name for name in plant.output_names if name not in e.names]
+    if unseen:
+        yield Note(e.name, ", ".join(unseen), "not in the record: what shows there alone cannot be found")
     known = {*plant.input_names, *plant.output_names}
     for channel in plant.inputs:
         if channel.name in plant.commanded or channel.name in e.names:

@@ -359,3 +359,8 @@ def test_an_input_that_is_not_logged_is_taken_as_0_and_said():
     assert len(notes) == 2
     assert "calls angle" in notes[0].sentence
     assert not [note for note in check(ROBOT, robot_records(3)) if note.channel == "arm"]
+
+
+def test_outputs_that_are_not_logged_are_said(winding):
+    (note,) = check(WINDING, Dataset((winding.select(["V1", "V2", "w1", "w3"]),)))
+    assert str(note) == "prbs1, w2, theta, r2: not in the record: what shows there alone cannot be found"
