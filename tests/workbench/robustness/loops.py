@@ -1,0 +1,77 @@
+"""Interval models and laws for the tests of robustness, and the machine that they stand for, sample by sample."""
+
+import numpy as np
+
+from controllers.pid import pid
+from controllers.scheduled_pid import ScheduledPID
+from workbench.data import Channel
+from workbench.intervals.domains import Box
+from workbench.intervals.model import IntervalModel, Mode
+from workbench.intervals.regressors import ARX
+from workbench.intervals.semantics import InclusionAll, ParameterBox
+
+DT = 0.1
+
+
+def model(output, inputs, structure, centre, radius, schedule=None) -> IntervalModel:
+    """One mode over everything, or one for each third of the schedule from 0 to 3."""
+    centre, radius = np.atleast_2d(centre), np.atleast_2d(radius)
+    domains = [Box((float(i),), (i + 1.0,)) for i in range(len(centre))]
+    modes = tuple(
+        Mode(ParameterBox(c, r), domain, (), 100, 0.1, 0.9) for c, r, domain in zip(centre, radius, domains, strict=True)
+    )
+    return IntervalModel(
+        output, DT, tuple(Channel(name, "V", "input") for name in inputs), Channel(output, "", "output"),
+        Channel(schedule, "m", "schedule") if schedule else None, structure, InclusionAll(), 0.0, np.zeros(len(inputs)), 1.0,
+        modes,
+    )  # fmt: skip
+
+
+def two_regressions(share=0.1):
+    """Two stable outputs of two inputs with coupling, in delta and in shift form, with a bias, of orders 2 and 3; and a law."""
+    first, second = ARX(order=2), ARX(order=3, delta=False, delay=2)
+    one = np.array([0.5, 0.08, 0.02, 0.05, 0.01, -0.03, 0.3])
+    two = np.array([-0.9, 0.2, 0.02, 0.03, 0.02, 0.15, 0.04, -0.2])
+    models = (
+        model("y1", ("u1", "u2"), first, one, share * np.abs(one)),
+        model("y2", ("u2", "u1"), second, two, share * np.abs(two)),  # inputs in another order
+    )
+    return models, law()
+
+
+def law(**options) -> ScheduledPID:
+    """A law of two outputs with all of its parts, in another order than the models."""
+    Kp, Ki = np.array([[0.2, 0.4], [0.6, -0.1]]), np.array([[0.1, 0.3], [0.4, -0.2]])
+    Kd = np.array([[0.02, 0.03], [0.05, 0.0]])
+    return pid(("u1", "u2"), ("y2", "y1"), ("r2", "r1"), DT, Kp, Ki, Kd, Tf=0.15, b=0.5, c=0.3, **options)
+
+
+def machine_run(models, law, delta, start, rho=None):
+    """y (N, ny), z by model, of the equations as they are written in `intervals.model`, biases left out.
+
+    delta: by output name (N, p); start: by output name the past outputs, newest first. Nothing here is a matrix of a loop.
+    """
+    by_name = {m.output.name: m for m in models}
+    N = len(next(iter(delta.values())))
+    y = {name: list(reversed(values)) for name, values in start.items()}  # oldest first, like a record
+    before = {name: len(values) for name, values in y.items()}
+    u = {name: [0.0] * 10 for name in law.actuated}
+    state, seen = law.init(np.zeros(len(law.actuated))), {name: [] for name in by_name}
+    state[-2:] = 0.0  # neither cold nor taking over: the memory of a law at rest
+    for k in range(N):
+        for name, m in by_name.items():
+            form, mode = m.form, m.modes[0 if rho is None else int(rho)]
+            psi = np.zeros(len(form.source))
+            for i, (source, lag) in enumerate(zip(form.source.astype(int), form.lags.astype(int), strict=True)):
+                if source == 0:
+                    psi[i] = y[name][before[name] + k - lag]
+                elif source > 0:
+                    psi[i] = u[m.inputs[source - 1].name][10 + k - lag]
+            z = form.T @ psi
+            theta = mode.box.centre + delta[name][k] * mode.box.radius
+            y[name].append(form.d @ psi + theta @ z)
+            seen[name].append(z)
+        command, state = law.step(state, np.zeros(len(law.references)), np.array([y[name][-1] for name in law.measured]), rho)
+        for name, value in zip(law.actuated, command, strict=True):
+            u[name].append(value)
+    return {name: np.array(values)[before[name] :] for name, values in y.items()}, {n: np.array(v) for n, v in seen.items()}

@@ -1,0 +1,425 @@
+"""How much wider the boxes may be until the loop is lost: kappa multiplies every radius, so that 1 is what the records allow.
+
+    frozen       parameters that stand still, but nobody knows where          exact for one regression
+    arbitrary    parameters that move as they like at every sample            certified <= margin <= falsified
+
+Frozen, one regression. 1 = kappa sum_i delta_i g_i(omega), g = C (zI - A)^-1 b lam at z = exp(j omega), is a pole on the unit
+circle. {sum_i delta_i g_i} is a zonogon, and 1 / kappa leaves it through one of its sides:
+
+    kappa(omega) = max over d of |d . 1| / sum_i |d . g_i|,   d orthogonal to one of the g_i
+
+The smallest over omega is found on a grid and refined; `edges_hold` confirms it without a grid. The frozen margin says nothing of
+parameters that move: it is an upper bound of the arbitrary one, on examples by a factor from 1.07 to 5.
+
+Arbitrary, certified. x'P x decreases for every A(delta): P - A(delta)'P A(delta) is concave in A, so the corners of the box
+suffice. Without corners, for any number of parameters, with a multiplier D_i >= 0 for each:
+
+    [P - A'P A - C'D C, -A'P B; -B'P A, D - B'P B] > 0,   B = kappa b_j lam_i in column i
+
+Arbitrary, falsified. A periodic sequence of corners whose product has a pole outside the unit circle, improved by
+
+    d|lambda| / d delta_i(k) ~ Re(conj(lambda) (l(k+1)'b_i)(C_i x(k)) lam_i / (l'x)),    x, l the eigenvectors carried along
+
+All of a certificate is checked in outward-rounded arithmetic; a solver's status counts for nothing.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.intervals.arithmetic import Interval, exact, positive_definite
+from workbench.records import field, record
+from workbench.robustness.loop import UncertainLoop
+from workbench.robustness.semidefinite import Block, maximise, symmetric
+
+FREQUENCIES = 4000
+MOST_CORNERS = 12  # parameters up to which all corners of the box are looked at
+MOST_EDGES = 8
+LENGTHS = tuple(range(1, 26))  # samples of a periodic sequence
+LONGEST = 200
+MOST = 1e6  # a margin beyond is none
+STARTS = 3  # random sequences of each length
+SWEEPS = 12
+CLOSE = 1.01  # ratio of bounds at which a search ends
+ADDED = 2  # corners that enter the program in a round
+ROUNDS = 30
+
+
+@record
+class FrozenMargin:
+    """kappa, and the constant parameters (p, within 1) with which kappa A(delta) has a pole at exp(j omega) [rad / sample].
+
+    exact: no smaller kappa is lost; otherwise kappa is only an upper bound.
+    """
+
+    kappa: float
+    delta: np.ndarray = field("p")
+    omega: float
+    exact: bool
+
+
+@record
+class Certificate:
+    """P (n n) with x'P x falling over `steps` samples for every parameter sequence in kappa times the box.
+
+    D (p): multipliers of the parameters, for one step; or none: proved at every corner, of several steps at all their products.
+    """
+
+    kappa: float
+    P: np.ndarray = field("n n")
+    D: np.ndarray | None = None
+    steps: int = 1
+
+    def holds(self, loop: UncertainLoop) -> bool:
+        """Whether that is proved of `loop`, in outward-rounded arithmetic."""
+        if self.P.shape != loop.A.shape or not np.array_equal(self.P, self.P.T) or not positive_definite(self.P):
+            return False
+        P, B = exact(self.P), exact(loop.B[:, loop.channel.astype(int)]) * (exact(loop.lam) * self.kappa)
+        if self.D is None:
+            if self.steps * len(loop.lam) > MOST_CORNERS:
+                return False
+            A = whole = exact(loop.A) + (B * corners(len(loop.lam))[:, None, :]) @ loop.C
+            for _ in range(self.steps - 1):  # affine in the parameters of each step by itself, so that corners suffice
+                whole = A[:, None] @ whole
+                whole = Interval(whole.low.reshape(-1, *P.shape), whole.high.reshape(-1, *P.shape))
+            return bool(positive_definite(P - _transposed(whole) @ (P @ whole)).all())
+        if self.D.shape != loop.lam.shape or not (self.D >= 0.0).all():
+            return False
+        A, PB = exact(loop.A), P @ B
+        first = P - loop.A.T @ (P @ A) - loop.C.T @ (exact(self.D)[:, None] * loop.C)
+        beside = -(loop.A.T @ PB)
+        return bool(positive_definite(_bordered(first, beside, np.diag(self.D) - _transposed(B) @ PB)))
+
+
+@record
+class Falsified:
+    """kappa, and a sequence delta (L p) within the box which, repeated, multiplies a state by `growth` >= 1 each time."""
+
+    kappa: float
+    delta: np.ndarray = field("L p", low=-1.0, high=1.0)
+    growth: float
+
+    def replay(self, loop: UncertainLoop) -> float:
+        """Largest modulus of a pole of the product over one period."""
+        return float(_carried(loop, self.kappa, self.delta[None]).size[0])
+
+
+@record
+class Margin:
+    """certified.kappa <= the margin under parameters that move as they like <= falsified.kappa; and the frozen margin."""
+
+    certified: Certificate
+    falsified: Falsified
+    frozen: FrozenMargin
+
+    @property
+    def gap(self) -> float:
+        """falsified / certified, 1 where nothing is left open."""
+        return self.falsified.kappa / self.certified.kappa
+
+
+def margin(loop: UncertainLoop, seed: int = 0) -> Margin:
+    """Both bounds of the margin of a loop, and its frozen margin. Raises InputError for a loop that is unstable as it is."""
+    own = loop.balanced()
+    if not own.lam.any():
+        raise InputError("no parameter is uncertain", file="UncertainLoop", mend="every margin is infinite: nothing to check")
+    frozen = frozen_margin(own)
+    worst = falsified(own, frozen, seed)
+    return Margin(certified(own, worst.kappa), worst, frozen)
+
+
+def corners(p: int) -> np.ndarray:
+    """All corners of the box [-1, 1]^p, (2^p, p)."""
+    return 1.0 - 2.0 * ((np.arange(2**p)[:, None] >> np.arange(p)) & 1)
+
+
+# ---- parameters that stand still ------------------------------------------------------------------------------------------
+
+
+def frozen_margin(loop: UncertainLoop) -> FrozenMargin:
+    """The smallest kappa at which constant parameters lose the loop; exact for one regression, else an upper bound."""
+    if loop.B.shape[1] > 1:
+        return _constant(loop)
+    poles = np.abs(np.angle(np.linalg.eigvals(loop.A)))
+    omega = np.unique(np.concatenate([[0.0, np.pi], np.linspace(0.0, np.pi, FREQUENCIES), poles, np.geomspace(1e-5, np.pi, 400)]))
+    kappa = _sides(loop, omega)[0]
+    low = np.flatnonzero(kappa <= np.minimum(np.append(kappa[1:], np.inf), np.insert(kappa[:-1], 0, np.inf)))
+    best = omega[low[np.argsort(kappa[low])[:5]]]
+    step = np.diff(omega).max()
+    for _ in range(6):  # a valley may be as narrow as a pole is near the circle
+        near = np.unique(np.clip((best[:, None] + step * np.linspace(-1.0, 1.0, 201)).ravel(), 0.0, np.pi))
+        near = np.concatenate([near, best])
+        kappa = _sides(loop, near)[0]
+        best, step = near[np.argsort(kappa)[:3]], step / 50.0
+    (kappa,), (normal,) = _sides(loop, best[:1])
+    return FrozenMargin(float(kappa), _on_side(loop, float(best[0]), float(kappa), normal), float(best[0]), True)
+
+
+def _gains(loop: UncertainLoop, omega: np.ndarray) -> np.ndarray:
+    """g (len(omega), p): from w to every z, times lam."""
+    z = np.where(omega == np.pi, -1.0, np.exp(1j * omega))  # real there: what rounding leaves of an imaginary part is no side
+    x = np.linalg.solve(z[:, None, None] * np.eye(len(loop.A)) - loop.A, loop.B.astype(complex))
+    return (loop.C @ x)[..., 0] * loop.lam
+
+
+def _sides(loop: UncertainLoop, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """kappa (len(omega)) and the direction d, a complex number of size 1, that gives it."""
+    g = _gains(loop, omega)
+    turned = np.concatenate([1j * g, np.ones((len(omega), 1))], axis=1)  # where all g are real the zonogon is flat: then d = 1
+    size = np.abs(turned)
+    d = np.where(size > 0.0, turned / np.where(size > 0.0, size, 1.0), 1.0 + 0.0j)
+    reach = np.abs(np.real(d.conj()[:, :, None] * g[:, None, :])).sum(axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.nan_to_num(np.abs(np.real(d)) / reach, nan=0.0, posinf=np.inf)
+    at = ratio.argmax(axis=1)
+    row = np.arange(len(omega))
+    return ratio[row, at], d[row, at]
+
+
+def _on_side(loop: UncertainLoop, omega: float, kappa: float, d: complex) -> np.ndarray:
+    """delta with kappa sum_i delta_i g_i = 1: corners, but for the generators that lie along the side."""
+    g = _gains(loop, np.array([omega]))[0]
+    across = (np.conj(d) * g).real * (1.0 if d.real >= 0.0 else -1.0)
+    along = (np.conj(d) * g).imag
+    level = np.abs(across) <= 1e-9 * np.abs(g).max()
+    delta = np.where(level, 0.0, np.sign(across))
+    rest, room = -d.imag / kappa - delta @ along, np.abs(along[level]).sum()
+    if room > 0.0:
+        delta[level] = np.sign(along[level]) * np.clip(rest / room, -1.0, 1.0)
+    return delta
+
+
+def _constant(loop: UncertainLoop) -> FrozenMargin:
+    """Constant corners, improved like sequences of one sample."""
+    found = _lost(loop, np.random.default_rng(0).choice([-1.0, 1.0], size=(8 * STARTS, 1, len(loop.lam))), MOST)
+    if found is None:
+        return FrozenMargin(np.inf, np.zeros(len(loop.lam)), 0.0, False)
+    poles = np.linalg.eigvals(loop.at(found.kappa * found.delta[0]))
+    return FrozenMargin(found.kappa, found.delta[0], float(abs(np.angle(poles[np.abs(poles).argmax()]))), False)
+
+
+def edges_hold(loop: UncertainLoop, kappa: float) -> bool:
+    """Whether no edge of kappa times the box has a pole on the unit circle: with a stable middle, no frozen loop is lost.
+
+    The characteristic polynomial is affine in delta for one regression, D(z) - kappa sum_i delta_i N_i(z), so the edge theorem
+    (Bartlett, Hollot, Huang 1988) holds. On an edge a + t b has a root of modulus 1 where a(z) b*(z) = b(z) a*(z) has one.
+    """
+    p = len(loop.lam)
+    if loop.B.shape[1] > 1 or p > MOST_EDGES:
+        raise InputError(f"{p} parameters of {loop.B.shape[1]} regressions", mend=f"one regression, at most {MOST_EDGES} of them")
+    D = np.poly(loop.A)
+    N = np.array([np.poly(loop.A + np.outer(column, row)) - D for column, row in zip(loop.columns.T, loop.C, strict=True)])
+    for i in range(p):
+        others = np.insert(corners(p - 1), i, 0.0, axis=1)
+        for delta in others:
+            a, b = D + kappa * delta @ N, kappa * N[i]
+            crossing = np.polysub(np.polymul(a, b[::-1]), np.polymul(b, a[::-1]))
+            z = np.roots(np.trim_zeros(np.where(np.abs(crossing) > 1e-14 * np.abs(crossing).max(), crossing, 0.0)))
+            z = np.append(z[np.abs(np.abs(z) - 1.0) < 1e-4], [1.0, -1.0])
+            z = z / np.abs(z)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = -np.polyval(a, z) / np.polyval(b, z)
+            if np.any((np.abs(t.real) <= 1.0) & (np.abs(t.imag) <= 1e-6)):
+                return False
+    return True
+
+
+# ---- parameters that move: certified --------------------------------------------------------------------------------------
+
+
+def certified(loop: UncertainLoop, beyond: float) -> Certificate:
+    """The largest kappa below `beyond`, within a hundredth, for which a certificate was found and holds."""
+    high, low = beyond, beyond / 2.0
+    while (best := _held(_by_multipliers(loop, low), loop)) is None:
+        high, low = low, low / 2.0
+        if low < 1e-6 * beyond:
+            raise InputError("no certificate, not even of the middle of the boxes", file="UncertainLoop")
+    best = _search(loop, high, best, lambda kappa, _: _by_multipliers(loop, kappa))
+    for steps in (1, 2):
+        if steps * len(loop.lam) <= MOST_CORNERS:
+            best = _search(loop, beyond, best, _Corners(loop, steps))
+    return best
+
+
+def _held(found: Certificate | None, loop: UncertainLoop) -> Certificate | None:
+    """A certificate that is proved, or none."""
+    return found if found is not None and found.holds(loop) else None
+
+
+def _search(
+    loop: UncertainLoop, high: float, best: Certificate, attempt: Callable[[float, Certificate], Certificate | None]
+) -> Certificate:
+    """Bisection in the logarithm of kappa, from `best` up: what is not proved does not count."""
+    while high / best.kappa > CLOSE:
+        kappa = float(np.sqrt(high * best.kappa))
+        found = _held(attempt(kappa, best), loop)
+        if found is None:
+            high = kappa
+        else:
+            best = found
+    return best
+
+
+def _by_multipliers(loop: UncertainLoop, kappa: float) -> Certificate | None:
+    """P, D and t with the block of the module >= t diag(1, 0), t as large as can be; trace P = n."""
+    n, p = len(loop.A), len(loop.lam)
+    A, B, C = loop.A, kappa * loop.columns, loop.C
+    E, G = symmetric(n), np.zeros((p, p, p))
+    G[np.arange(p), np.arange(p), np.arange(p)] = 1.0
+    size = len(E) + p + 1
+    F = np.zeros((size, n + p, n + p))
+    EA, EB = E @ A, E @ B
+    F[: len(E), :n, :n] = E - A.T @ EA
+    F[: len(E), :n, n:] = -A.T @ EB
+    F[: len(E), n:, :n] = F[: len(E), :n, n:].swapaxes(1, 2)
+    F[: len(E), n:, n:] = -B.T @ EB
+    F[len(E) : -1, :n, :n] = -np.einsum("ia,ib->iab", C, C)
+    F[len(E) : -1, n:, n:] = G
+    F[-1, :n, :n] = -np.eye(n)
+    trace = np.concatenate([np.trace(E, axis1=1, axis2=2), np.zeros(p + 1)])[None]
+    x = maximise(np.eye(size)[-1], [Block(np.zeros((n + p, n + p)), F)], (trace, np.array([float(n)])))
+    if x is None:
+        return None
+    return Certificate(kappa, np.tensordot(x[: len(E)], E, 1), np.maximum(x[len(E) : -1], 0.0))
+
+
+class _Corners:
+    """P with P - A'P A >= t at every corner, t as large as can be; A is the product over `steps` samples.
+
+    Corners enter the program where the last P fails; those that entered for one kappa stay for the next.
+    """
+
+    def __init__(self, loop: UncertainLoop, steps: int):
+        self.loop, self.steps = loop, steps
+        self.active: list[int] = []
+
+    def __call__(self, kappa: float, last: Certificate) -> Certificate | None:
+        loop, n = self.loop, len(self.loop.A)
+        into = np.linalg.cholesky(last.P).T  # where the last P is 1 the solver is at home
+        one = every = into @ loop.at(kappa * corners(len(loop.lam))) @ np.linalg.inv(into)
+        for _ in range(self.steps - 1):
+            every = (one[:, None] @ every).reshape(-1, n, n)
+        E, P = symmetric(n), np.eye(n)
+        trace = np.append(np.trace(E, axis1=1, axis2=2), 0.0)[None]
+        for _ in range(ROUNDS):
+            falls = np.linalg.eigvalsh(P - every.swapaxes(1, 2) @ P @ every)[:, 0]
+            if falls.min() > 0.0:
+                P = into.T @ P @ into
+                return Certificate(kappa, 0.5 * (P + P.T), steps=self.steps)
+            new = [int(v) for v in np.argsort(falls)[: 2 * ADDED] if v not in self.active][:ADDED]
+            if not new:
+                return None
+            self.active += new
+            F = [np.concatenate([E - A.T @ E @ A, -np.eye(n)[None]]) for A in every[self.active]]
+            x = maximise(np.append(np.zeros(len(E)), 1.0), [Block(np.zeros((n, n)), f) for f in F], (trace, np.array([float(n)])))
+            if x is None or x[-1] <= 0.0:
+                return None
+            P = np.tensordot(x[:-1], E, 1)
+        return None
+
+
+def _transposed(x: Interval) -> Interval:
+    return Interval(x.low.swapaxes(-1, -2), x.high.swapaxes(-1, -2))
+
+
+def _bordered(first: Interval, beside: Interval, last: Interval) -> Interval:
+    """[first, beside; beside', last]."""
+
+    def whole(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+        return np.block([[a, b], [b.T, c]])
+
+    return Interval(whole(first.low, beside.low, last.low), whole(first.high, beside.high, last.high))
+
+
+# ---- parameters that move: falsified --------------------------------------------------------------------------------------
+
+
+def falsified(loop: UncertainLoop, frozen: FrozenMargin, seed: int = 0) -> Falsified:
+    """The smallest kappa at which a periodic sequence was found that the loop does not survive."""
+    random = np.random.default_rng(seed)
+    lengths = set(LENGTHS)
+    if frozen.omega > 0.0:
+        lengths |= {min(LONGEST, max(1, round(turns * np.pi / frozen.omega))) for turns in (1, 2)}
+    best = None
+    if np.isfinite(frozen.kappa):
+        best = _lost(loop, np.stack([frozen.delta, np.sign(frozen.delta)])[:, None, :], frozen.kappa * (1.0 + 1e-6))
+    for length in sorted(lengths):
+        starts = random.choice([-1.0, 1.0], size=(STARTS, length, len(loop.lam)))
+        found = _lost(loop, starts, MOST if best is None else best.kappa)
+        best = found or best
+    if best is None:
+        raise InputError(
+            "no parameters were found that move a pole to the unit circle",
+            file="UncertainLoop",
+            mend="do the uncertain regressors see what they drive?",
+        )
+    return best
+
+
+def _lost(loop: UncertainLoop, delta: np.ndarray, below: float) -> Falsified | None:
+    """The smallest kappa < below at which one of the sequences delta (S L p), improved, grows; or None."""
+    kappa, best = below, None
+    if below >= MOST:  # nobody knows where the margin lies: from below, for far beyond it every sequence grows
+        kappa = 1.0 / MOST
+        while kappa < MOST and _improved(loop, kappa, delta)[1].max() < 1.0:
+            kappa *= 1.5
+    delta, size = _improved(loop, kappa, delta)
+    while size.max() >= 1.0:
+        own = delta[size.argmax()][None]
+        low, high = 0.0, kappa
+        while high - low > 1e-7 * high:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if _carried(loop, middle, own).size[0] >= 1.0 else (middle, high)
+        best = Falsified(high, own[0], float(_carried(loop, high, own).size[0]))
+        if high >= kappa * (1.0 - 1e-4):
+            break
+        kappa = high
+        delta, size = _improved(loop, kappa * (1.0 - 1e-6), delta)
+    return best
+
+
+def _improved(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sequences (S L p) after steps to the signs of their own slopes, while that helps, and their growth (S)."""
+    at = _carried(loop, kappa, delta)
+    for _ in range(SWEEPS):
+        other = np.where(at.slope == 0.0, delta, np.sign(at.slope))
+        new = _carried(loop, kappa, other)
+        better = new.size > at.size * (1.0 + 1e-9)
+        if not better.any():
+            break
+        delta = np.where(better[:, None, None], other, delta)
+        at = _Carried(np.where(better, new.size, at.size), np.where(better[:, None, None], new.slope, at.slope))
+    return delta, at.size
+
+
+class _Carried(NamedTuple):
+    """Of S periodic sequences: largest modulus of a pole over one period (S), and its slope along every delta (S L p)."""
+
+    size: np.ndarray
+    slope: np.ndarray
+
+
+def _carried(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> _Carried:
+    S, L, _ = delta.shape
+    A = loop.at(kappa * delta)
+    whole = A[:, 0]
+    for k in range(1, L):
+        whole = A[:, k] @ whole
+    values, right = np.linalg.eig(whole)
+    row, at = np.arange(S), np.abs(values).argmax(axis=1)
+    largest = values[row, at]
+    others, left = np.linalg.eig(whole.swapaxes(1, 2))
+    x = right[row, :, at]
+    back = left[row, :, np.abs(others - largest[:, None]).argmin(axis=1)]
+    seen = np.empty((S, L, len(loop.C)), dtype=complex)
+    for k in range(L):
+        seen[:, k] = x @ loop.C.T
+        x = (A[:, k] @ x[..., None])[..., 0]
+    scale = np.conj(largest) / np.einsum("sn,sn->s", back, right[row, :, at])
+    slope = np.empty(delta.shape)
+    for k in reversed(range(L)):
+        slope[:, k] = (scale[:, None] * (back @ loop.columns) * seen[:, k]).real
+        back = (back[:, None, :] @ A[:, k])[:, 0]
+    return _Carried(np.abs(largest), slope)
