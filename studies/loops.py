@@ -3,7 +3,8 @@
 Laws are designed as a user would: records of the machine's plan, a model, then `design`. Nothing that a law does not measure is
 told to it but what its file holds; the nonlinear MPC's file holds the plant. All PIDs of a machine keep the same bounds; what
 those leave open, the set-point weight of a PID and the price that an MPC pays for moves, is chosen by `rehearsal` on the
-identified model, by one rule for all; the nonlinear MPC pays the MPC's price.
+identified model, by one rule for all. Outputs count there in units of their set-point steps, and so they do in the MPCs' weights;
+the nonlinear MPC pays the MPC's price.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from controllers.mpc import MPC, default_weights, design_mpc
+from controllers.mpc import MPC, design_mpc
 from controllers.nmpc import design_nmpc
 from controllers.pid_design import PIDDesign, Structure, design_pid
+from controllers.receding import Weights
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
 from plants import PLANTS
@@ -32,7 +34,7 @@ Say = Callable[[str], None]
 
 REHEARSED = 1500  # samples
 WEIGHTS = (0.4, 0.7, 1.0)  # set-point weights of a PID, from calm to brisk
-PRICES = (0.1, 0.03, 0.01, 0.003, 0.001, 3e-4, 1e-4)  # of an MPC's moves
+PRICES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # of an MPC's moves
 
 
 @record
@@ -125,6 +127,11 @@ def _records(plant: Plant, experiments: tuple[str, ...], seed: int, roles: dict,
     return Dataset(tuple(found))
 
 
+def _counted(size: np.ndarray, nu: int, move: float) -> Weights:
+    """Outputs in units of `size`, moves of nu inputs at this price."""
+    return Weights(1.0 / size**2, np.full(nu, move), np.zeros(nu))
+
+
 # ---- web winding machine ----------------------------------------------------------------------------------------------------
 
 WINDING = PLANTS["web-winding"]
@@ -137,7 +144,8 @@ def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
     roles = {"inputs": ("V1", "V2"), "outputs": ("w3", "theta"), "schedule": ("r2",)}
     progress("web-winding: identifying on prbs1 and rbs")
     model = SSM(order=6 if quick else None).fit(_records(WINDING, ("prbs1", "rbs"), seed, roles))
-    seen = rehearsal(model, (SPEED, 0.0), (5.0, 5.0), REHEARSED, seed)  # rad/s, deg
+    size = np.array([5.0, 5.0])  # rad/s, deg
+    seen = rehearsal(model, (SPEED, 0.0), size, REHEARSED, seed)
     chosen = _Chosen({model.name: seen}, progress)
     fallback: Any = None
     for name, knots in (("fixed PID", 1), ("scheduled PID", 3 if quick else 5)):
@@ -147,10 +155,10 @@ def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
     low, high = np.array([-np.inf, -20.0]), np.array([np.inf, 20.0])
     price = chosen.mpc(
         "LPV-MPC",
-        lambda move: design_mpc(model, fallback, weights=default_weights(model, move), y_low=low, y_high=high),
+        lambda move: design_mpc(model, fallback, weights=_counted(size, 2, move), y_low=low, y_high=high),
         [model.name],
     )
-    chosen.laws["NMPC"] = design_nmpc(WINDING, fallback, weights=default_weights(model, price), y_low=low, y_high=high)
+    chosen.laws["NMPC"] = design_nmpc(WINDING, fallback, weights=_counted(size, 2, price), y_low=low, y_high=high)
     return chosen.designed({model.name: model})
 
 
@@ -213,12 +221,13 @@ def _design_robot(quick: bool, seed: int, progress: Say) -> Designed:
         models[name] = replace(found, name=name)
     progress("welding-robot: designing")
     nominal, heavy = models["nominal"], models["heavy"]
-    chosen = _Chosen({name: rehearsal(own, (0.0,), (0.6,), REHEARSED, seed) for name, own in models.items()}, progress)  # m/s
+    size = np.array([0.6])  # m/s
+    chosen = _Chosen({name: rehearsal(own, (0.0,), size, REHEARSED, seed) for name, own in models.items()}, progress)
     chosen.pid("PID", design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)), ["nominal"])
     robust = design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy])
     fallback = chosen.pid("robust PID", robust, list(models))
-    price = chosen.mpc("MPC", lambda move: design_mpc(nominal, fallback, weights=default_weights(nominal, move)), ["nominal"])
-    chosen.laws["NMPC"] = design_nmpc(ROBOT, fallback, weights=default_weights(nominal, price))
+    price = chosen.mpc("MPC", lambda move: design_mpc(nominal, fallback, weights=_counted(size, 1, move)), ["nominal"])
+    chosen.laws["NMPC"] = design_nmpc(ROBOT, fallback, weights=_counted(size, 1, price))
     return chosen.designed(models)
 
 
