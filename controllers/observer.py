@@ -69,7 +69,9 @@ def design_observer(model: LPVModel, *, at_inputs: bool | None = None, drift: fl
         raise InputError("no predictor and no noise in this model", file=model.name, mend="identify it from records")
     if np.any(model.D):
         raise InputError(
-            "its outputs see the command of their own sample", file=model.name, mend="identify it without feedthrough"
+            "its outputs see the command of their own sample",
+            file=model.name,
+            mend="workbench identify --no-feedthrough: a held command cannot do that",
         )
     if not drift > 0.0:
         raise InputError(f"drift {drift:g}", mend="a disturbance that never moves is never found: give a number above 0")

@@ -59,7 +59,7 @@ class Margins:
     sensitivity, complementary: spectral norms of S and T at the loop broken as the bounds say; effort: |Q| as a multiple of
     1 / sigma_min(P(0)); loops (n, nu): |S_ii| with one loop broken at the plant input and the others closed; radius: largest
     modulus of a closed-loop pole; bandwidth [rad/s]: where |S| first reaches 1 / sqrt(2); frequencies (n, 3) [rad/s]: where |S|,
-    |T| and |Q| peak.
+    |T| and |Q| peak; delay (n, nu) [s]: how much later one command may act before its loop is lost, the others closed.
     """
 
     rho: np.ndarray = field("n")
@@ -69,6 +69,7 @@ class Margins:
     loops: np.ndarray = field("n nu")
     radius: np.ndarray = field("n")
     bandwidth: np.ndarray = field("n", unit="rad/s")
+    delay: np.ndarray = field("n nu", unit="s", low=0.0)
     frequencies: np.ndarray = field("n 3", unit="rad/s")
 
     def broken(self, bounds: Bounds) -> np.ndarray:
@@ -202,9 +203,26 @@ def margins_of(
             "loops": np.abs(np.einsum("wii->wi", opened)).max(axis=0),
             "radius": np.abs(plant.feedback(answer).poles()).max(),
             "bandwidth": omega[slow[0]] if len(slow) else omega[-1],
+            "delay": delay_margins(1.0 / np.einsum("wii->wi", opened) - 1.0, omega),
             "frequencies": omega[norms.argmax(axis=1)],
         })  # fmt: skip
     return Margins(**{key: np.array([row[key] for row in rows]) for key in rows[0]})
+
+
+def delay_margins(L: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    """(pi + arg L) / omega at the crossings |L| = 1, the least of each loop (nu,) in s; infinite where there is none.
+
+    L (N, nu) at omega (N,), the phase between -2 pi and 0. Exact for delays of whole samples, between them as in continuous time.
+    """
+    found = np.full(L.shape[1], np.inf)
+    for i, own in enumerate(L.T):
+        size = np.log(np.abs(own))
+        for k in np.flatnonzero(size[:-1] * size[1:] < 0.0):
+            share = size[k] / (size[k] - size[k + 1])
+            at = omega[k] + share * (omega[k + 1] - omega[k])
+            phase = np.angle(own[k]) + share * np.angle(own[k + 1] / own[k])
+            found[i] = min(found[i], (phase + np.pi) % (2.0 * np.pi) / at)
+    return found
 
 
 def loops_of(law: ScheduledPID, model: LPVModel, rho: float | None, omega: np.ndarray) -> np.ndarray:
@@ -229,7 +247,8 @@ def worst_margins(
     worst = np.argmax([[getattr(m, key) for key in PEAKS[:3]] for m in each], axis=0)  # (3, n): whose peak it is
     frequencies = np.take_along_axis(np.stack([m.frequencies for m in each]), worst.T[None], axis=0)[0]
     bandwidth = np.min([m.bandwidth for m in each], axis=0)
-    return Margins(rho=each[0].rho, bandwidth=bandwidth, frequencies=frequencies, **high)
+    delay = np.min([m.delay for m in each], axis=0)
+    return Margins(rho=each[0].rho, bandwidth=bandwidth, delay=delay, frequencies=frequencies, **high)
 
 
 def _knots(model: LPVModel, knots: int | Sequence[float]) -> np.ndarray:

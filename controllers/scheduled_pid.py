@@ -339,7 +339,9 @@ def check_limits(law: str, channels: Sequence[str], lows: np.ndarray, highs: np.
     """Refuse limits that leave a channel no room."""
     for name, low, high in zip(channels, lows, highs, strict=True):
         if not low < high:
-            raise InputError(f"lower limit {low:g} is not below the upper {high:g}", file=law, channel=name)
+            raise InputError(
+                f"lower limit {low:g} is not below the upper {high:g}", file=law, channel=name, mend="exchange them?"
+            )
 
 
 def finite(values: np.ndarray) -> list[float | None]:

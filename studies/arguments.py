@@ -23,11 +23,15 @@ from workbench.records import record
 
 @record
 class Chosen:
-    """A plant as it was asked for; base: the machine's name, the user's module:NAME or a model file; files: what was read."""
+    """A plant as it was asked for; base: the machine's name, the user's module:NAME or a model file; files: what was read.
+
+    model: the file, where the plant is an identified model as it is.
+    """
 
     plant: Plant
     base: str
     files: tuple[str, ...] = ()
+    model: str | None = None
 
 
 def find_plant(text: str) -> Plant:
@@ -52,7 +56,7 @@ def choose_plant(text: str) -> Chosen:
     if not text.endswith(".json"):
         return Chosen(_base_plant(text), text)
     if _is_model(text):
-        return Chosen(_base_plant(text), text, (text,))
+        return Chosen(_base_plant(text), text, (text,), text)
     before, plus, path = text.rpartition("+")
     if not plus or Path(text).is_file():
         before, path = "", text

@@ -42,6 +42,16 @@ def _seed(text: str) -> int:
     return _whole(text, 0)
 
 
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is no duration in seconds")
+    return value
+
+
 def _whole(text: str, low: int) -> int:
     if not (text.isascii() and text.isdigit() and int(text) >= low):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} on")
@@ -71,7 +81,8 @@ def parser() -> argparse.ArgumentParser:
         "run a plant through an experiment and write the record as CSV",
         "examples:\n  workbench simulate web-winding --experiment prbs1 --seed 3\n"
         "  workbench simulate web-winding --experiment prbs1 --effect coulomb@unwind:level=0.002\n"
-        "  workbench simulate my_plant.py:PLANT --inputs-from record.csv",
+        "  workbench simulate my_plant.py:PLANT --inputs-from record.csv\n"
+        "  workbench simulate ssm.json --controller scheduled-pid.json --setpoint w3=100,theta=0",
     )
     sub.add_argument("plant", metavar="PLANT", help=PLANT_HELP)
     sub.add_argument("--experiment", nargs="+", metavar="NAME", default=[], help="experiments of the machine's plan")
@@ -82,6 +93,8 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
     sub.add_argument("--start", action="append", default=[], metavar="X=V", help="change a start value")
     sub.add_argument("--controller", metavar="FILE", help="close the loop with a controller written by design")
+    sub.add_argument("--setpoint", action="append", default=[], metavar="Y=V,..", help="with --controller: hold these outputs")
+    sub.add_argument("--duration", type=_seconds, metavar="S", help="with --setpoint: seconds (default 60)")
 
     sub = command(
         "identify",
@@ -99,6 +112,11 @@ def parser() -> argparse.ArgumentParser:
         help="lti, ilm, ssm, interval, several (lti,interval), all (lti,ilm,ssm), or best: chosen on the estimation records",
     )
     sub.add_argument("--order", type=_positive, help="model order (default: chosen on the estimation records)")
+    sub.add_argument(
+        "--feedthrough",
+        action=argparse.BooleanOptionalAction,
+        help="lti, ssm: let inputs act within their own sample, or not (default: where open-loop records show it)",
+    )
     sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
     sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
 
@@ -140,7 +158,7 @@ def parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("kind", metavar="LAW", help="scheduled-pid, pid (fixed gains), mpc, or nmpc (on the plant's own equation)")
     sub.add_argument("--model", required=True, metavar="MODEL", help="model file written by identify")
-    sub.add_argument("--knots", type=_positive, default=5, metavar="N", help="schedule values with own gains (default 5)")
+    sub.add_argument("--knots", type=_positive, metavar="N", help="scheduled-pid: schedule values with own gains (default 5)")
     sub.add_argument("--at", type=float, metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
     sub.add_argument("--sensitivity", type=float, default=1.6, metavar="MS", help="largest sensitivity |S| (default 1.6)")
     sub.add_argument("--complementary", type=float, default=1.6, metavar="MT", help="largest |T| (default 1.6)")
@@ -185,6 +203,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--to", required=True, metavar="FORM", help="c (C99), st (IEC 61131-3), csv (gains), or json (gains, matrices of an MPC)"
     )
+    sub.add_argument("--fallback", action="store_true", help="of an mpc or nmpc: the PID that it falls back on")
     sub.add_argument("--name", metavar="NAME", help="c, st: name of the functions or the block (default: from the law's name)")
     sub.add_argument("--float", action="store_true", help="c: single precision instead of double")
 

@@ -8,15 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
-from studies.arguments import check_file, choose_plant, names, parse_effects, parse_numbers, run_folder, trusted_plant
+import numpy as np
+
+from studies.arguments import Chosen, check_file, choose_plant, names, parse_effects, parse_numbers, run_folder, trusted_plant
 from studies.results import Result, scores_file
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
 from workbench.physics.controller import Loop
+from workbench.physics.plant import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import check_units, read, read_all, write_csv
 
+DURATION = 60.0  # s, of a loop that holds its set-points
 MUCH = 0.02  # of the width of a schedule range, by which a record may leave it unsaid
 INTERVAL = "interval"  # the model kind beside the methods of `workbench.identify`
 
@@ -68,19 +72,25 @@ def simulate(options: Namespace) -> int:
     for name in chosen:
         if chosen.count(name) > 1:
             raise InputError(f"experiment {name} is named twice", mend="name it once, or run again with another --seed")
-    if not chosen and not options.inputs_from:
+    _check_setpoint(options)
+    if not chosen and not options.inputs_from and not options.setpoint:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
-        raise InputError("which experiment?", mend=f"give {known}--inputs-from RECORD")
+        other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
+        raise InputError("which experiment?", mend=f"give {known}{other}")
     own_law = load_controller(options.controller, lambda base: trusted_plant(base, machine)) if options.controller else None
     if own_law and options.inputs_from:
-        raise InputError("--controller and --inputs-from exclude each other", mend="a replay has no loop to close")
+        mend = "a replay has no loop to close; --setpoint Y=V,.. runs the loop"
+        raise InputError("--controller and --inputs-from exclude each other", mend=mend)
     if chosen and machine not in EXPERIMENTS:
-        raise InputError(f"plant {plant.name!r} has no experiment plan", mend="give --inputs-from RECORD")
+        other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
+        raise InputError(f"plant {plant.name!r} has no experiment plan", mend=f"give {other}")
+    held: Any = _held(options, found, own_law, effects, parameters, start) if options.setpoint else None
     folder = run_folder(options.out, "simulate")
 
     summary: list[dict[str, Any]] = []
     jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
+    jobs += [("setpoint", "setpoint")] if options.setpoint else []
     for kind, name in jobs:
         if kind == "plan":
             todo = plan(machine, name)
@@ -89,6 +99,9 @@ def simulate(options: Namespace) -> int:
             applied = todo.effects_with(effects)
             law = own_law or todo.controller
             done = run_plant(plant, law, scenario, parameters=parameters, effects=applied, bumpless=own_law is not None)
+        elif kind == "setpoint":
+            applied = effects
+            done = held
         else:
             record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
             applied = effects
@@ -104,6 +117,7 @@ def simulate(options: Namespace) -> int:
             entry["scores"] = _replay_scores(plant, record, done.experiment)
         elif own_law:
             entry["tracking"] = _loop_scores(own_law, done.experiment)
+            entry["at_limit"] = _at_limits(own_law, done.experiment)
             schedule = own_law.schedule
             if schedule and (beyond := own_law.outside(done.experiment[schedule])) > MUCH:
                 say(f"  {schedule} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
@@ -121,6 +135,52 @@ def simulate(options: Namespace) -> int:
     if options.json:
         write_json(options.json, result)
     return 0
+
+
+def _check_setpoint(options: Namespace) -> None:
+    """Refuse what does not go with --setpoint."""
+    if options.duration is not None and not options.setpoint:
+        raise InputError("--duration is for --setpoint", mend="an experiment has its own length, a record too")
+    if not options.setpoint:
+        return
+    if not options.controller:
+        raise InputError("--setpoint is for a controller to hold", mend="give --controller FILE")
+    if options.experiment or options.inputs_from:
+        raise InputError("--setpoint goes with neither --experiment nor --inputs-from", mend="give one of the three")
+
+
+def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, parameters, start) -> Any:
+    """The controller holding its set-points: on a plant, or on an identified model once along its whole schedule."""
+    from studies.rehearsal import hold
+    from workbench.lpv import load_model
+    from workbench.simulate import Run, Scenario
+    from workbench.simulate import simulate as run_plant
+
+    setpoint = parse_numbers(part for text in options.setpoint for part in names(text))
+    seed, samples = None if options.quiet else options.seed, max(2, round((options.duration or DURATION) / found.plant.dt))
+    if found.model is not None:
+        if effects or parameters or start:
+            raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
+        record = hold(load_model(found.model), law, setpoint, samples, seed)
+        return Run(record, record.select([c.name for c in record.channels if c.role == "output"]), 1)
+    for name in setpoint:
+        check_known("output of the controller", name, law.measured)
+    if missing := [name for name in law.measured if name not in setpoint]:
+        raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
+    references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=True)}
+    scenario = Scenario("setpoint", references, seed, start)
+    return run_plant(found.plant, law, scenario, parameters=parameters, effects=effects, bumpless=True)
+
+
+def _at_limits(law: Any, run: Experiment) -> dict[str, float]:
+    """The share of samples at which each command stood at one of its limits."""
+    found = {}
+    for name, low, high in zip(law.actuated, law.low, law.high, strict=True):
+        u = run[name]
+        found[name] = float(np.mean((u <= low) | (u >= high)))
+        limits = f", at a limit for {found[name]:.1%} of the time" if found[name] else ""
+        say(f"  {name}: from {u.min():.4g} to {u.max():.4g}{limits}")
+    return found
 
 
 def _statuses(memories: Sequence[Any]) -> dict[str, int]:
@@ -207,7 +267,7 @@ def identify(options: Namespace) -> int:
     if not dataset.experiments[0].names_of("schedule") and "ilm" in wanted:
         progress("ilm: skipped, it needs a schedule (--schedule)")
         wanted = tuple(method for method in wanted if method != "ilm")
-    methods = {name: METHODS[name]() if options.order is None else METHODS[name](order=options.order) for name in wanted}
+    methods = {name: METHODS[name](**_method_options(options, name)) for name in wanted}
     bounded = {}
     if interval is not None:  # first, for it refuses most: then nothing is written
         progress(f"{INTERVAL}: identifying")
@@ -216,6 +276,8 @@ def identify(options: Namespace) -> int:
     results: list[Result] = []
     for method, model in _fitted(options.model, methods, dataset) if wanted else ():
         model.save(folder / f"{method}.json")
+        if np.any(model.D):
+            say(f"note: {method}: outputs see the inputs of their own sample, which held commands cannot do (--no-feedthrough)")
         for note in model.notes:
             say(f"note: {method}: {note}")
         results.append(Result(model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
@@ -230,10 +292,20 @@ def identify(options: Namespace) -> int:
     if not options.validate:
         say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
     configuration = (
-        {"model": options.model, "order": options.order} | roles | (interval_configuration(interval) if interval else {})
+        {"model": options.model, "order": options.order, "feedthrough": options.feedthrough}
+        | roles
+        | (interval_configuration(interval) if interval else {})
     )
     _write(options, folder, results, configuration, held_out or dataset, [*options.records, *options.validate])
     return 0
+
+
+def _method_options(options: Namespace, method: str) -> dict[str, Any]:
+    """What the options ask of a method."""
+    own: dict[str, Any] = {} if options.order is None else {"order": options.order}
+    if options.feedthrough is not None and method != "ilm":  # which has none
+        own["feedthrough"] = options.feedthrough
+    return own
 
 
 def _say_advice(dataset: Dataset, order: int | None = None, *, warnings_only: bool = False) -> None:
@@ -276,6 +348,7 @@ def compare(options: Namespace) -> int:
     if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
         models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
     results: list[Result] = []
+    shown: Any = None  # the records with the roles of the first model
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
         roles = {
@@ -284,6 +357,7 @@ def compare(options: Namespace) -> int:
             "schedule": [model.schedule.name] if model.schedule else [],
         }
         dataset = read_all(options.records, **roles)
+        shown = shown or dataset
         known = (*model.inputs, *outputs, *([model.schedule] if model.schedule else []))
         for experiment in dataset:
             check_units(experiment, {c.name: c.unit for c in known})
@@ -297,7 +371,7 @@ def compare(options: Namespace) -> int:
     _say_scores(results)
     _say_envelopes(results)
     folder = run_folder(options.out, "compare")
-    _write(options, folder, results, {"models": options.models}, read_all(options.records), options.records)
+    _write(options, folder, results, {"models": options.models}, shown, options.records)
     return 0
 
 

@@ -3,6 +3,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +23,10 @@ from workbench.report import figures
 from workbench.report.page import Block, Report, Section, Table, write_report
 
 Say = Callable[[str], None]
-LIMITS = (("low", -np.inf), ("high", np.inf), ("rate", np.inf))  # options of the commands, and what none given means
+LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}  # options of the commands, and what none given means
 POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
+KNOTS = 5
 
 
 def design(options: Namespace, say: Say, progress: Say) -> int:
@@ -32,6 +34,8 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
     kind = check_known("controller", options.kind, KINDS)
     model = load_model(options.model)
     say(_described(model))
+    if np.any(model.D):
+        say("note: its outputs see the command of their own sample, which held commands cannot do: identify --no-feedthrough")
     if kind in ("mpc", "nmpc"):
         return _design_planning(options, kind, model, say, progress)
     return _design_pid(options, kind, model, say, progress)
@@ -49,6 +53,8 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
         over = worst_margins(found.law, models, list(np.linspace(model.span[0], model.span[1], POINTS)), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
+    _say_limits(found.law, model, say)
+    _say_held(found.law, model, _setpoint(options.setpoint, model), say)
     say(f"controller -> {path}")
     say(f"gain table -> {folder / 'gains.csv'}, margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: found.law}, models, bounds, found.scale)
@@ -67,17 +73,18 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     chosen = _plant_of(options, kind)
     keep = _ranges(options.keep, model)
     if options.fallback:
-        if options.robust_to or options.setpoint:
-            raise InputError(
-                "--robust-to and --setpoint are for a fallback law that is designed here", mend="leave --fallback out"
-            )
+        for option, given in (("--robust-to", options.robust_to), ("--setpoint", options.setpoint)):
+            if given:
+                raise InputError(
+                    f"{option} is for a fallback law that is designed here", mend=f"leave {option} or --fallback out"
+                )
         fallback = load_controller(options.fallback)
         if not isinstance(fallback, ScheduledPID):
             raise InputError("not a PID", file=options.fallback, mend="workbench design scheduled-pid, or leave --fallback out")
     else:
         progress("fallback law: scheduled PID")
         fallback = _tuned(options, "pid" if model.schedule is None else "scheduled-pid", model, progress).law
-    limits = {key: _by_name(getattr(options, key), model, none) for key, none in LIMITS} | {"y_low": keep[0], "y_high": keep[1]}
+    limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
     common = {"horizon": options.horizon, "weights": default_weights(model, options.move), **limits}
     if chosen:
         solver = SOLVERS[check_known("solver", options.solver, SOLVERS)]()
@@ -92,9 +99,8 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     for channel, a, b in zip(model.outputs, law.y_low, law.y_high, strict=True):
         if np.isfinite(a) or np.isfinite(b):
             say(f"  {channel.name} is kept from {a:g} to {b:g} {channel.unit} where that can be done")
-    for channel, a, b, c in zip(model.inputs, law.low, law.high, law.rate, strict=True):
-        rate = f", at most {c:g} {channel.unit}/s" if np.isfinite(c) else ""
-        say(f"  {channel.name} from {a:g} to {b:g} {channel.unit}{rate}: always")
+    _say_limits(law, model, say)
+    say("no margins are computed for a law that plans: try it with simulate --setpoint, and on a plant with --effect")
     say(f"controller -> {path}")
     read = [options.model, *options.robust_to, *([options.fallback] if options.fallback else []), *files]
     return _finished(options, folder, path, {"kind": kind, "weights": vars(law.weights)}, read, say)
@@ -110,7 +116,7 @@ def _plant_of(options: Namespace, kind: str) -> Chosen | None:
 
 
 def _finished(options: Namespace, folder: Path, path: Path, result: dict, files: list[str], say: Say) -> int:
-    say(f"next: workbench simulate PLANT --experiment NAME --controller {path}")
+    say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
     configuration = {key: value for key, value in vars(options).items() if key != "json"}
     whole = {"controller": str(path)} | result | {"provenance": provenance(configuration, files)}
     write_json(folder / "design.json", whole)
@@ -122,20 +128,55 @@ def _finished(options: Namespace, folder: Path, path: Path, result: dict, files:
 def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PIDDesign:
     """The PID that the options ask for."""
     bounds = _bounds(options)
-    low, high, rate = (_by_name(getattr(options, key), model, none) for key, none in LIMITS)
     structure = Structure(
         derivative=not options.no_derivative,
         Tf=options.filter,
         b=options.setpoint_weight,
         feedforward=not options.no_feedforward,
-        low=low,
-        high=high,
-        rate=rate,
+        **_limits(options, model),
     )
     return design_pid(
         model, knots=_knots(options, kind, model), bounds=bounds, structure=structure,
         setpoint=_setpoint(options.setpoint, model), robust_to=[load_model(path) for path in options.robust_to], say=progress,
     )  # fmt: skip
+
+
+def _limits(options: Namespace, model: LPVModel, fallback: ScheduledPID | None = None) -> dict[str, np.ndarray | None]:
+    """low, high and rate (nu,) as given, else those of the fallback law, else none; None where nothing is given."""
+    found = {}
+    for key, none in LIMITS.items():
+        default = np.full(len(model.inputs), none) if fallback is None else getattr(fallback, key)
+        found[key] = _by_name(getattr(options, key), model, default)
+    for c, rate in zip(model.inputs, [] if found["rate"] is None else found["rate"], strict=False):
+        if not rate > 0.0:
+            mend = f"the largest change of {c.name} per second, in {c.unit or 'its unit'}: a number above 0"
+            raise InputError(f"--rate {c.name}={rate:g}", channel=c.name, mend=mend)
+    return found
+
+
+def _say_limits(law: Any, model: LPVModel, say: Say) -> None:
+    for c, a, b, rate in zip(model.inputs, law.low, law.high, law.rate, strict=True):
+        if np.isfinite([a, b, rate]).any():
+            ends = f"from {a:g} to {b:g} {c.unit}".rstrip() if np.isfinite([a, b]).any() else "without limits"
+            say(f"  {c.name} {ends}{f', at most {rate:g} {c.unit}/s' if np.isfinite(rate) else ''}: always")
+        else:
+            say(f"  {c.name} has no limits: give --low, --high, --rate {c.name}=...")
+
+
+def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | None, say: Say) -> None:
+    """What holds the set-point over the schedule by the model, and whether the limits let it."""
+    if setpoint is None:
+        return
+    u = []
+    for rho in np.linspace(model.span[0], model.span[1], POINTS) if model.schedule else (0.0,):
+        A, B, C, D = model.freeze(rho if model.schedule else None)
+        phi, gain = model.operating_point.basis(np.array(rho)), C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
+        u.append(phi @ model.operating_point.u + np.linalg.pinv(gain) @ (setpoint - phi @ model.operating_point.y))
+    over = f" over {model.schedule.name}" if model.schedule else ""
+    for c, each, low, high in zip(model.inputs, np.transpose(u), law.low, law.high, strict=True):
+        say(f"  the set-point takes {c.name} from {each.min():.4g} to {each.max():.4g} {c.unit}{over}")
+        if each.min() < low or each.max() > high:
+            say(f"warning: {c.name}: its limits, {low:g} to {high:g} {c.unit}, do not let it hold this set-point everywhere")
 
 
 def _bounds(options: Namespace) -> Bounds:
@@ -147,23 +188,25 @@ def _bounds(options: Namespace) -> Bounds:
 
 def _knots(options: Namespace, kind: str, model: LPVModel) -> int | list[float]:
     if kind == "pid":
+        if options.knots is not None:
+            raise InputError("--knots is for a scheduled law", mend="leave it out, or workbench design scheduled-pid")
         return 1 if options.at is None else [options.at]
     if options.at is not None:
         raise InputError("--at is for a fixed law", mend="workbench design pid --at VALUE")
     if model.schedule is None:
         raise InputError("has no schedule", file=options.model, mend="workbench design pid, or identify with --schedule")
-    if options.knots < 2:
-        raise InputError(f"{options.knots} knots", mend="a scheduled law has two or more; for one: workbench design pid")
-    return options.knots
+    if options.knots == 1:
+        raise InputError("1 knot", mend="a scheduled law has two or more; for one: workbench design pid")
+    return options.knots or KNOTS
 
 
-def _by_name(texts: list[str], model: LPVModel, default: float) -> np.ndarray | None:
-    """Numbers by input from V1=0,V2=0; None where none is given."""
+def _by_name(texts: list[str], model: LPVModel, default: np.ndarray) -> np.ndarray | None:
+    """Numbers by input from V1=0,V2=0, the rest as by default; None where none is given."""
     given = parse_numbers(part for text in texts for part in names(text))
     known = [c.name for c in model.inputs]
     for name in given:
         check_known("input", name, known, file=model.name)
-    return np.array([given.get(name, default) for name in known]) if given else None
+    return np.array([given.get(name, own) for name, own in zip(known, default, strict=True)]) if given else None
 
 
 def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
@@ -253,11 +296,13 @@ def _described(model: LPVModel) -> str:
 def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> None:
     bounds, schedule = found.bounds, model.schedule
     if schedule is not None:
-        say(f"{schedule.name} [{schedule.unit}]   max |S|   max |T|   effort   bandwidth [rad/s]   largest pole")
-        for i in np.unique(np.linspace(0, len(over.rho) - 1, 7).round().astype(int)):
+        heads = "max |S|   max |T|   effort   bandwidth [rad/s]   delay margin [ms]   largest pole"
+        say(f"{schedule.name} [{schedule.unit}]   {heads}")
+        shown = np.append(np.linspace(0, len(over.rho) - 1, 7).round().astype(int), over.sensitivity.argmax())
+        for i in np.unique(shown):
             say(
                 f"{over.rho[i]:<10.5g} {over.sensitivity[i]:8.3f} {over.complementary[i]:9.3f} {over.effort[i]:8.2f} "
-                f"{over.bandwidth[i]:12.2f} {over.radius[i]:18.4f}"
+                f"{over.bandwidth[i]:12.2f} {1e3 * over.delay[i].min():19.1f} {over.radius[i]:18.4f}"
             )
     say(_worst_said(found, over, model))
     if len(found.knots) > 1:
@@ -268,6 +313,7 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
             f"away from {found.knots[0]:.4g} {schedule.unit if schedule else ''} the fixed law breaks its bounds at "
             f"{over.broken(bounds).sum()} of {len(over.rho)} schedule values: workbench design scheduled-pid keeps them"
         )
+    say(f"largest further delay of one command: {1e3 * over.delay.min():.0f} ms, {over.delay.min() / model.dt:.1f} samples")
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
 
 
@@ -283,8 +329,9 @@ def _worst_said(found: PIDDesign, over: Margins, model: LPVModel) -> str:
 def _write_margins(margins: Margins, model: LPVModel, path: Path) -> None:
     loops = [f"S_{c.name}" for c in model.inputs]
     head = ["rho" if model.schedule is None else f"{model.schedule.name} [{model.schedule.unit}]", "S", "T", "effort", *loops]
-    rows = [",".join([*head, "largest_pole", "bandwidth [rad/s]"])]
+    delays = [f"delay_margin_{c.name} [s]" for c in model.inputs]
+    rows = [",".join([*head, "largest_pole", "bandwidth [rad/s]", *delays])]
     for i in range(len(margins.rho)):
         numbers = [margins.rho[i], margins.sensitivity[i], margins.complementary[i], margins.effort[i], *margins.loops[i]]
-        rows.append(",".join(f"{v:.9g}" for v in [*numbers, margins.radius[i], margins.bandwidth[i]]))
+        rows.append(",".join(f"{v:.9g}" for v in [*numbers, margins.radius[i], margins.bandwidth[i], *margins.delay[i]]))
     write_text(path, "\n".join(rows) + "\n")

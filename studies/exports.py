@@ -44,13 +44,20 @@ def export(options: Namespace, say: Say) -> int:
 
 
 def _contents(controller: ScheduledPID | Receding, form: str, options: Namespace, say: Say) -> dict[str, Any]:
-    """Texts and numbers by file name; of an MPC its matrices as JSON, and in other forms the law that it falls back on."""
-    if isinstance(controller, MPC) and form == "json":
+    """Texts and numbers by file name; of an MPC its matrices as JSON, or the law that it falls back on if that is asked for."""
+    if isinstance(controller, ScheduledPID):
+        if options.fallback:
+            raise InputError("a PID falls back on nothing", mend="leave --fallback out")
+        law = controller
+    elif options.fallback:
+        law = controller.fallback
+        say(f"this is {law.name}, the law that {controller.name} falls back on")
+    elif isinstance(controller, MPC) and form == "json":
         return {"matrices.json": _with_differences(mpc_matrices(controller), say)}
-    law = controller if isinstance(controller, ScheduledPID) else controller.fallback
-    if isinstance(controller, Receding):
-        matrices = "; its matrices: --to json" if isinstance(controller, MPC) else ""
-        say(f"{controller.name} needs a solver: this is {law.name}, the law that it falls back on{matrices}")
+    else:
+        matrices = ", or --to json for its matrices" if isinstance(controller, MPC) else ""
+        mend = f"give --fallback for the PID that it falls back on{matrices}"
+        raise InputError(f"an {type(controller).__name__} needs a solver, and is no {form} text by itself", mend=mend)
     if form == "csv":
         _with_differences(gain_table(law), say)
         return {"gains.csv": gain_csv(law)}

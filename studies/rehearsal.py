@@ -7,14 +7,18 @@ The model moves along a given schedule; u is what the law commands of r and y, i
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from workbench.data import Channel, Experiment
+from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel
 from workbench.records import field, record
 
 HOLD = (1.0, 4.0)  # s, shortest and longest stay at a set-point
+FEEDTHROUGH = "workbench identify --no-feedthrough: a held command cannot do that"
 NO_WORSE = 1.01  # ratio of costs up to which a calmer candidate is taken
 
 
@@ -28,24 +32,61 @@ class Rehearsal:
     e: np.ndarray = field("N ny")
     size: np.ndarray = field("ny")
 
-    def cost(self, law: Any) -> float:
-        """Mean square of the errors under the law; infinite where the loop runs away."""
-        errors = np.empty_like(self.references)
+    def run(self, law: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Commands (N, nu) and measured outputs (N, ny) under the law, from rest at the first set-point; in the model's order.
+
+        Raises InputError where the law reads or commands what the model does not have.
+        """
         model, point = self.model, self.model.operating_point
+        at_y, at_u = _places(law, law.measured, model.outputs), _places(law, law.actuated, model.inputs)
+        if np.any(model.D):
+            raise InputError("its outputs see the command of their own sample", file=model.name, mend=FEEDTHROUGH)
         weights, phi = model.weights(self.rho), point.basis(self.rho)
         u0, y0 = phi @ point.u, phi @ point.y
         K = model.predictor.K if model.predictor else np.zeros((len(model.terms), model.order, len(self.size)))
-        x, state = np.zeros(model.order), law.init(u0[0])
+        A, B, C = (np.tensordot(weights[0], M, 1) for M in (model.A, model.B, model.C))
+        reached = np.linalg.solve(np.eye(len(A)) - A, B)
+        held = np.linalg.pinv(C @ reached) @ (self.references[0] - y0[0])
+        x, commands, y = reached @ held, np.tile(u0[0] + held, (len(self.rho), 1)), np.empty_like(self.references)
+        state = law.init(commands[0, at_u])
         for k, r in enumerate(self.references):
             A, B, C, K_k = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, model.C, K))
-            y = C @ x + y0[k] + self.e[k]
-            u, state = law.step(state, r, y, self.rho[k] if law.schedule else None)
-            x = A @ x + B @ (u - u0[k]) + K_k @ self.e[k]
-            errors[k] = (r - y) / self.size
+            y[k] = C @ x + y0[k] + self.e[k]
+            commands[k, at_u], state = law.step(state, r[at_y], y[k, at_y], self.rho[k] if law.schedule else None)
+            x = A @ x + B @ (commands[k] - u0[k]) + K_k @ self.e[k]
+        return commands, y
+
+    def cost(self, law: Any) -> float:
+        """Mean square of the errors under the law; infinite where the loop runs away."""
+        errors = (self.references - self.run(law)[1]) / self.size
         return float(np.mean(errors**2)) if np.isfinite(errors).all() else np.inf
 
 
-def rehearsal(model: LPVModel, centre: Sequence[float], size: Sequence[float], samples: int, seed: int) -> Rehearsal:
+def _places(law: Any, names: Sequence[str], channels: Sequence[Channel]) -> list[int]:
+    """Where the law's channels stand among the model's."""
+    known = [c.name for c in channels]
+    return [known.index(check_known(f"channel of {law.name}", name, known)) for name in names]
+
+
+def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int, seed: int | None) -> Experiment:
+    """A record of the law holding set-points on the model, once along its whole schedule; seed None: without noise."""
+    known = [c.name for c in model.outputs]
+    for name in setpoint:
+        check_known("output", name, known, file=model.name)
+    if missing := [name for name in known if name not in setpoint]:
+        raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
+    r = [setpoint[name] for name in known]
+    whole = rehearsal(model, r, np.zeros(len(r)), samples, seed or 0)
+    whole = whole if seed is not None else replace(whole, e=np.zeros_like(whole.e))
+    u, y = whole.run(law)
+    schedule = (replace(model.schedule, role="schedule"),) if model.schedule else ()
+    set_points = [replace(c, name=f"{c.name}_set", role="reference") for c in model.outputs]
+    channels = (*model.inputs, *model.outputs, *schedule, *set_points)
+    values = np.column_stack([u, y, *([whole.rho] if schedule else []), whole.references])
+    return Experiment("setpoint", model.dt * np.arange(samples), channels, values, model.dt)
+
+
+def rehearsal(model: LPVModel, centre: Sequence[float], size: Sequence[float] | np.ndarray, samples: int, seed: int) -> Rehearsal:
     """Random steps of every output up to `size` around `centre`, at times of their own, once along the whole schedule."""
     random = np.random.default_rng(seed)
     ny = len(model.outputs)

@@ -176,3 +176,20 @@ def test_opened_loops_belong_to_the_sensitivities(designed):
     S = control.feedback(control.StateSpace([], [], [], np.eye(2), DT), own * plant)
     expected = [1.0 / np.diag(S(np.exp(1j * w * DT))) - 1.0 for w in omega]
     np.testing.assert_allclose(loops_of(designed.law, machine(), rho, omega), expected, rtol=1e-9)
+
+
+def test_the_delay_margin_is_that_of_whole_samples(designed):
+    """Loops of a slow machine with integral action alone: python-control with one more sample at a time until a pole leaves."""
+    bounds = Bounds(1.2, 1.2, 4.0)
+    law = design_pid(machine(slow=0.95, fast=0.9), knots=1, bounds=bounds).law
+    found = margins_of(law, machine(slow=0.95, fast=0.9), [1.3], bounds).delay[0]
+    answer, plant = law.at(1.3), machine(slow=0.95, fast=0.9).to_control(1.3)
+    K = control.StateSpace(answer.A, -answer.B[:, 2:], answer.C, -answer.D[:, 2:], DT)
+    for i in range(2):
+        samples = found[i] / DT
+        assert samples > 1.0
+        for n, stable in ((int(np.floor(samples)), True), (int(np.ceil(samples)), False)):
+            shift = [control.ss(np.eye(n, k=-1), np.eye(n, 1), np.eye(1, n, n - 1), 0.0, DT) if k == i else 1.0 for k in range(2)]
+            late = control.append(*(control.ss([], [], [], [[s]], DT) if isinstance(s, float) else s for s in shift))
+            poles = control.feedback(plant * late, K).poles()
+            assert (np.abs(poles).max() < 1.0) == stable

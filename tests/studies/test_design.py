@@ -13,6 +13,7 @@ from controllers.pid_design import design_pid
 from controllers.scheduled_pid import BackCalculation, Clamping, Gains
 from plants import WEB_WINDING
 from studies.cli import main
+from studies.design import _limits
 from studies.experiments import plan, web_winding_loops
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
@@ -248,3 +249,91 @@ def test_a_controller_file_with_a_foreign_value_is_refused_in_a_sentence(folder,
     (tmp_path / "c.json").write_text(json.dumps(content | edit))
     with pytest.raises(InputError, match=r"c\.json"):
         load_controller(tmp_path / "c.json")
+
+
+# ---- closing the loop by hand ------------------------------------------------------------------------------------------------
+
+
+def test_simulate_holds_set_points_on_the_model_and_on_the_plant(folder, capsys):
+    law, held = str(folder / "out" / "scheduled-pid.json"), ["--setpoint", "w3=100,theta=0", "--duration", "4"]
+    assert main(["simulate", str(folder / "m.json"), "--controller", law, *held, "--out", str(folder / "on-model")]) == 0
+    said = capsys.readouterr().out
+    assert "setpoint: 100 samples at 0.04 s" in said
+    assert "V1: from " in said
+    with open(folder / "on-model" / "setpoint.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(rows[i]["r2 [m]"]) for i in (0, -1)] == pytest.approx([0.011, 0.0264])
+    assert max(abs(float(row["w3 [rad/s]"]) - 100.0) for row in rows) < 0.5
+    loops = str(save_controller(web_winding_loops(), folder / "loops.json"))
+    plant = ["simulate", "web-winding", "--controller", loops, *held]
+    assert main([*plant, "--out", str(folder / "on-plant")]) == 0
+    assert main([*plant, "--effect", "input-delay@V1:time=0.02", "--out", str(folder / "late")]) == 0
+    runs = [json.loads((folder / place / "simulate.json").read_text())["runs"][0] for place in ("on-plant", "late")]
+    assert runs[0]["tracking"][0]["RMS"] != runs[1]["tracking"][0]["RMS"]
+    assert runs[0]["at_limit"] == {"V2": 0.0, "V1": 0.0}
+
+
+def test_commands_at_their_limits_are_said(folder, capsys):
+    law = load_controller(folder / "out" / "scheduled-pid.json")
+    file = str(save_controller(replace(law, high=np.array([np.inf, 1.0])), folder / "weak.json"))
+    held = ["--setpoint", "w3=100,theta=0", "--duration", "4", "--out", str(folder / "weak")]
+    assert main(["simulate", str(folder / "m.json"), "--controller", file, *held]) == 0
+    assert "V2: from 1 to 1, at a limit for 100.0% of the time" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--setpoint", "w3=100"], "no set-point for theta"),
+        (["--setpoint", "w4=100,theta=0"], "w4"),
+        (["--setpoint", "w3=100,theta=0", "--experiment", "ramp"], "neither --experiment nor --inputs-from"),
+        (["--setpoint", "w3=100,theta=0", "--effect", "input-delay@V1:time=0.02"], "has no --effect"),
+        (["--duration", "3"], "--duration is for --setpoint"),
+        ([], "which experiment?\n  mend: give --setpoint"),
+        (["--inputs-from", "a.csv"], "exclude each other"),
+    ],
+)
+def test_slips_with_set_points_are_named(folder, capsys, options, message):
+    law = str(folder / "out" / "scheduled-pid.json")
+    assert main(["simulate", str(folder / "m.json"), "--controller", law, *options, "--out", str(folder / "slip")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "slip").exists()
+
+
+def test_set_points_need_a_controller(folder, capsys):
+    assert main(["simulate", "web-winding", "--setpoint", "w3=100,theta=0", "--out", str(folder / "slip")]) == 2
+    assert "--setpoint is for a controller to hold" in capsys.readouterr().err
+
+
+# ---- limits and set-points of a design ---------------------------------------------------------------------------------------
+
+
+def test_what_a_set_point_takes_is_said_and_held_against_the_limits(folder, capsys):
+    common = ["design", "pid", "--model", str(folder / "m.json"), "--out", str(folder / "held")]
+    assert main([*common, "--setpoint", "w3=100,theta=0", "--high", "V1=5,V2=5"]) == 0
+    said = capsys.readouterr().out
+    assert "the set-point takes V1 from 0.3 to 0.3 V over r2" in said  # the operating point of every radius
+    assert "V1 from -inf to 5 V: always" in said
+    assert "warning" not in said
+    assert main([*common, "--setpoint", "w3=200,theta=0", "--high", "V2=3"]) == 0
+    said = capsys.readouterr().out
+    assert "warning: V2: its limits, -inf to 3 V, do not let it hold this set-point everywhere" in said
+    assert "V1 has no limits" in said
+
+
+def test_limits_of_an_mpc_that_are_not_given_are_those_of_its_fallback_law(folder):
+    fallback = load_controller(folder / "out" / "scheduled-pid.json")
+    options = type("Options", (), {"low": [], "high": ["V1=4"], "rate": []})()
+    found = _limits(options, turning_model(), fallback)
+    np.testing.assert_array_equal(found["high"], [4.0, 10.0])
+    assert found["low"] is None
+
+
+def test_a_rate_that_is_none_is_named(folder, capsys):
+    assert main(["design", "pid", "--model", str(folder / "m.json"), "--rate", "V1=-5", "--out", str(folder / "rate")]) == 2
+    assert "channel V1: --rate V1=-5" in capsys.readouterr().err
+
+
+def test_knots_belong_to_a_scheduled_law(folder, capsys):
+    assert main(["design", "pid", "--model", str(folder / "m.json"), "--knots", "3", "--out", str(folder / "knots")]) == 2
+    assert "--knots is for a scheduled law" in capsys.readouterr().err

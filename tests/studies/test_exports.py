@@ -72,9 +72,13 @@ def test_an_mpc_is_its_matrices_and_its_fallback_law(tmp_path, capsys):
     content = json.loads(exported(tmp_path, controller, "--to", "json")[1]["matrices.json"])
     assert (content["horizon"], content["disturbances"], np.shape(content["rows"][0]["P"])) == (20, "inputs", (5, 5))
     capsys.readouterr()
-    files = exported(tmp_path, controller, "--to", "st", "--name", "reserve")[1]
+    files = exported(tmp_path, controller, "--to", "st", "--fallback", "--name", "reserve")[1]
     assert files["reserve.st"] == st_code(fallback, "reserve")
-    assert "mpc needs a solver: this is pid, the law that it falls back on" in capsys.readouterr().out
+    assert "this is pid, the law that mpc falls back on" in capsys.readouterr().out
+    for form in ("c", "st", "csv"):  # a build that asks for the MPC must not get a PID
+        assert main(["export", str(tmp_path / "law.json"), "--to", form, "--out", str(tmp_path / form)]) == 2
+        assert "an MPC needs a solver" in capsys.readouterr().err
+        assert not (tmp_path / form).exists()
 
 
 @pytest.mark.parametrize(
@@ -89,6 +93,7 @@ def test_an_mpc_is_its_matrices_and_its_fallback_law(tmp_path, capsys):
             "law.json: 'web-pid' is no name in C and Structured Text\n  mend: give a name of letters",
         ),
         (["--to", "c", "--name", ""], "'' is no name"),
+        (["--to", "c", "--fallback"], "a PID falls back on nothing"),
         (["--to", "st", "--name", "command"], "law.json: 'command' is a word of Structured Text or a variable of the block"),
     ],
 )
@@ -112,7 +117,7 @@ def test_a_nonlinear_mpc_leaves_the_law_that_it_falls_back_on(tmp_path, capsys):
     fallback = pid(("u",), ("v",), ("v_set",), 0.02, [0.5], [1.0], low=-10.0, high=10.0, name="speed")
     save_controller(design_nmpc(WELDING_ROBOT, fallback), tmp_path / "n.json")
     save_controller(fallback, tmp_path / "p.json")
-    for source in ("n", "p"):
-        assert main(["export", str(tmp_path / f"{source}.json"), "--to", "c", "--out", str(tmp_path / source)]) == 0
-    assert "nmpc needs a solver: this is speed" in capsys.readouterr().out
+    for source, own in (("n", ["--fallback"]), ("p", [])):
+        assert main(["export", str(tmp_path / f"{source}.json"), "--to", "c", *own, "--out", str(tmp_path / source)]) == 0
+    assert "this is speed, the law that nmpc falls back on" in capsys.readouterr().out
     assert (tmp_path / "n" / "speed.c").read_text() == (tmp_path / "p" / "speed.c").read_text()

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from controllers.pid import pid
-from studies.rehearsal import NO_WORSE, calmest, rehearsal
+from studies.rehearsal import NO_WORSE, calmest, hold, rehearsal
 from tests.controllers.test_pid_design import machine
+from workbench.errors import InputError
 from workbench.lpv import Predictor
 
 SIZE = np.array([2.0, 0.5])
@@ -49,7 +50,7 @@ def test_the_loop_is_linear_theory_s_at_a_schedule_that_stands(noisy):
         states=x,
     )
     loop = control.interconnect([plant, one.at()], inplist=["r1", "r2", "e1", "e2"], outlist=y, inputs=["r1", "r2", "e1", "e2"])
-    moved = seen.references - [10.0, 1.0]  # the law sees set-points and outputs, the linear system deviations
+    moved = seen.references - seen.references[0]  # from rest there
     _, out = control.forced_response(loop, T=0.1 * np.arange(300), U=np.hstack([moved, seen.e]).T)
     assert seen.cost(one) == pytest.approx(np.mean(((moved - out.T) / SIZE) ** 2), rel=1e-9)
 
@@ -71,9 +72,44 @@ def test_set_points_noise_and_schedule_are_what_they_are_said_to_be(noisy):
 
 def test_the_calmest_that_costs_no_more_is_taken(noisy):
     seen = [rehearsal(noisy, (10.0, 1.0), SIZE, 400, seed) for seed in (1, 2)]
-    candidates = {f"{gain}": law(gain) for gain in (0.0, 0.3, 1.8, 2.0, 9.0)}
+    candidates = {f"{gain}": law(gain) for gain in (0.0, 0.3, 1.75, 1.9, 9.0)}
     name, costs = calmest(candidates, seen)
-    assert name == "1.8"  # 2 is a little better
-    assert costs["2.0"] < costs["1.8"] < NO_WORSE * costs["2.0"]
+    assert name == "1.75"  # 1.9 is a little better
+    assert costs["1.9"] < costs["1.75"] < NO_WORSE * costs["1.9"]
     assert costs["9.0"] > 10.0  # the loop runs away
     assert costs["0.3"] == pytest.approx(np.mean([own.cost(candidates["0.3"]) for own in seen]))
+
+
+def test_a_law_holds_its_set_points_on_the_model_it_was_designed_on(noisy):
+    """Without noise from rest nothing moves but what the schedule moves; with noise the spread is that of linear theory."""
+    one = law(u0=np.array([0.5, 0.2]))
+    calm = hold(noisy, one, {"w3": 12.0, "theta": 0.0}, 4000, None)
+    np.testing.assert_allclose(calm[["w3", "theta"]], np.tile([12.0, 0.0], (4000, 1)), atol=0.05)
+    np.testing.assert_array_equal(calm["r2"][[0, -1]], noisy.span)
+    np.testing.assert_array_equal(calm["w3_set"], np.full(4000, 12.0))
+    A, B, C, _ = noisy.freeze(float(calm["r2"][2000]))
+    held = (C @ np.linalg.solve(np.eye(2) - A, B)) @ (calm[["V1", "V2"]][2000] - [0.5, 0.2]) + [10.0, 1.0]
+    np.testing.assert_allclose(held, calm[["w3", "theta"]][2000], atol=0.02)
+    noise = hold(noisy, one, {"w3": 12.0, "theta": 0.0}, 4000, 1)
+    assert 0.1 < np.std(noise["w3"]) < 0.5
+    assert not np.array_equal(noise["w3"], hold(noisy, one, {"w3": 12.0, "theta": 0.0}, 4000, 2)["w3"])
+
+
+def test_channels_in_another_order_are_the_same_loop(noisy):
+    one = law()
+    other = replace(
+        one, actuated=one.actuated[::-1], Kp=one.Kp[:, ::-1], Ki=one.Ki[:, ::-1], Kd=one.Kd[:, ::-1], u0=one.u0[:, ::-1]
+    )
+    setpoint = {"theta": 0.5, "w3": 11.0}
+    np.testing.assert_allclose(hold(noisy, one, setpoint, 300, 4).values, hold(noisy, other, setpoint, 300, 4).values, atol=1e-9)
+
+
+def test_what_a_loop_on_a_model_needs_is_said(noisy):
+    with pytest.raises(InputError, match="no set-point for theta"):
+        hold(noisy, law(), {"w3": 1.0}, 10, 1)
+    with pytest.raises(InputError, match="theta2"):
+        hold(noisy, law(), {"w3": 1.0, "theta2": 0.0}, 10, 1)
+    with pytest.raises(InputError, match="V9"):
+        hold(noisy, replace(law(), actuated=("V1", "V9")), {"w3": 1.0, "theta": 0.0}, 10, 1)
+    with pytest.raises(InputError, match="command of their own sample"):
+        hold(replace(noisy, D=np.ones_like(noisy.D)), law(), {"w3": 1.0, "theta": 0.0}, 10, 1)
