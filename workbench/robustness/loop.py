@@ -85,7 +85,11 @@ class UncertainLoop:
         return UncertainLoop(into @ self.A @ back, into @ self.B, self.C @ back, self.lam, self.channel, self.parameters, self.dt)
 
     def balanced(self) -> "UncertainLoop":
-        """In coordinates in which x'x is a Lyapunov function of the middle, every z of size 1 per unit of lam, and |b_j| = 1.
+        """In the coordinates of `balance`."""
+        return self.moved(self.balance())
+
+    def balance(self) -> np.ndarray:
+        """T (n n): with T x for x, x'x is a Lyapunov function of the middle in which no direction is much larger than another.
 
         Raises InputError where the middle is not stable.
         """
@@ -103,7 +107,7 @@ class UncertainLoop:
         scaled = self.moved(np.diag(1.0 / size))
         weight = scaled.C.T @ np.diag(self.lam**2) @ scaled.C
         P = solve_discrete_lyapunov(scaled.A.T, weight / max(np.trace(weight), 1e-300) + np.eye(len(size)) / len(size))
-        return scaled.moved(np.linalg.cholesky(0.5 * (P + P.T)).T)
+        return np.linalg.cholesky(0.5 * (P + P.T)).T / size
 
 
 def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = None) -> UncertainLoop:

@@ -84,13 +84,13 @@ class Certificate:
             for _ in range(self.steps - 1):  # affine in the parameters of each step by itself, so that corners suffice
                 whole = A[:, None] @ whole
                 whole = Interval(whole.low.reshape(-1, *P.shape), whole.high.reshape(-1, *P.shape))
-            return bool(positive_definite(P - _transposed(whole) @ (P @ whole)).all())
+            return bool(positive_definite(P - transposed(whole) @ (P @ whole)).all())
         if self.D.shape != loop.lam.shape or not (self.D >= 0.0).all():
             return False
         A, PB = exact(loop.A), P @ B
         first = P - loop.A.T @ (P @ A) - loop.C.T @ (exact(self.D)[:, None] * loop.C)
         beside = -(loop.A.T @ PB)
-        return bool(positive_definite(_bordered(first, beside, np.diag(self.D) - _transposed(B) @ PB)))
+        return bool(positive_definite(bordered(first, beside, np.diag(self.D) - transposed(B) @ PB)))
 
 
 @record
@@ -279,7 +279,7 @@ def _by_multipliers(loop: UncertainLoop, kappa: float) -> Certificate | None:
     F[len(E) : -1, n:, n:] = G
     F[-1, :n, :n] = -np.eye(n)
     trace = np.concatenate([np.trace(E, axis1=1, axis2=2), np.zeros(p + 1)])[None]
-    x = maximise(np.eye(size)[-1], [Block(np.zeros((n + p, n + p)), F)], (trace, np.array([float(n)])))
+    x = maximise(np.eye(size)[-1], [Block(np.zeros((n + p, n + p)), F, np.arange(size))], (trace, np.array([float(n)])))
     if x is None:
         return None
     return Certificate(kappa, np.tensordot(x[: len(E)], E, 1), np.maximum(x[len(E) : -1], 0.0))
@@ -313,18 +313,22 @@ class _Corners:
                 return None
             self.active += new
             F = [np.concatenate([E - A.T @ E @ A, -np.eye(n)[None]]) for A in every[self.active]]
-            x = maximise(np.append(np.zeros(len(E)), 1.0), [Block(np.zeros((n, n)), f) for f in F], (trace, np.array([float(n)])))
+            x = maximise(
+                np.append(np.zeros(len(E)), 1.0),
+                [Block(np.zeros((n, n)), f, np.arange(len(f))) for f in F],
+                (trace, np.array([float(n)])),
+            )
             if x is None or x[-1] <= 0.0:
                 return None
             P = np.tensordot(x[:-1], E, 1)
         return None
 
 
-def _transposed(x: Interval) -> Interval:
+def transposed(x: Interval) -> Interval:
     return Interval(x.low.swapaxes(-1, -2), x.high.swapaxes(-1, -2))
 
 
-def _bordered(first: Interval, beside: Interval, last: Interval) -> Interval:
+def bordered(first: Interval, beside: Interval, last: Interval) -> Interval:
     """[first, beside; beside', last]."""
 
     def whole(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -417,7 +421,8 @@ def _carried(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> _Carried:
     for k in range(L):
         seen[:, k] = x @ loop.C.T
         x = (A[:, k] @ x[..., None])[..., 0]
-    scale = np.conj(largest) / np.einsum("sn,sn->s", back, right[row, :, at])
+    across = np.einsum("sn,sn->s", back, right[row, :, at])  # 0 where a pole is double and has one direction only
+    scale = np.where(across == 0.0, 0.0, np.conj(largest) / np.where(across == 0.0, 1.0, across))
     slope = np.empty(delta.shape)
     for k in reversed(range(L)):
         slope[:, k] = (scale[:, None] * (back @ loop.columns) * seen[:, k]).real

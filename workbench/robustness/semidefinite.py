@@ -1,4 +1,4 @@
-"""Linear matrix inequalities, given to Clarabel as they are: maximise c'x subject to F0 + sum_v x_v F_v >= 0 for every block.
+"""Linear matrix inequalities, given to Clarabel as they are: maximise c'x such that F0 + sum_v x_v F_v >= 0 in every block.
 
 A modelling layer takes longer to state such a program with hundreds of blocks than the solver to solve it. Nothing here is
 believed: near a margin "almost solved" is the rule, and whoever asks checks the answer.
@@ -16,14 +16,15 @@ ACCURACY = 1e-9
 
 @record
 class Block:
-    """F0 + sum_v x_v F_v >= 0: F0 (k k) and F (nv k k), symmetric."""
+    """F0 + sum_v x_at[v] F_v >= 0: F0 (k k) and F (m k k), symmetric; at (m): the variables that stand in it."""
 
     F0: np.ndarray = field("k k")
-    F: np.ndarray = field("nv k k")
+    F: np.ndarray = field("m k k")
+    at: np.ndarray = field("m")
 
 
 def maximise(c: np.ndarray, blocks: Sequence[Block], equal: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
-    """x (nv) that Clarabel ends with, or None; equal: rows (r nv) and values (r) of rows x = values."""
+    """x that Clarabel ends with, or None; equal: rows (r, len(c)) and values (r) of rows x = values."""
     import clarabel as compiled  # its names are not visible to the type checker
     from scipy import sparse
 
@@ -34,7 +35,10 @@ def maximise(c: np.ndarray, blocks: Sequence[Block], equal: tuple[np.ndarray, np
         values.append(equal[1])
         cones.append(clarabel.ZeroConeT(len(equal[1])))
     for block in blocks:
-        rows.append(sparse.csc_matrix(-vector(block.F).T))
+        own = -vector(block.F).T
+        row, column = np.nonzero(own)
+        place = row, block.at.astype(int)[column]
+        rows.append(sparse.csc_matrix((own[row, column], place), shape=(len(own), len(c))))
         values.append(vector(block.F0))
         cones.append(clarabel.PSDTriangleConeT(block.F0.shape[0]))
     settings = clarabel.DefaultSettings()

@@ -1,0 +1,127 @@
+"""Certificates over the schedule: exact where the answer is known, true of every run, and rejected when broken."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from workbench.errors import InputError
+from workbench.robustness.loop import UncertainLoop
+from workbench.robustness.lyapunov import ScheduledCertificate, certificate, largest, pairs, scheduled_loop
+from workbench.robustness.margins import margin
+
+
+def turning(rho: float) -> UncertainLoop:
+    """A lightly damped turn whose axes change with the schedule: each is stable, a fast schedule is not; quadratic in rho."""
+    A = np.array([[0.2 + 0.3 * rho, 0.9 - 0.5 * rho], [-0.3 - 0.5 * rho, 0.4 - 0.2 * rho + 0.1 * rho**2]])
+    return UncertainLoop(A, [[1.0], [0.3 * rho]], [[0.5, 0.2], [0.1, 0.4]], [0.1, 0.05], [0, 0])
+
+
+NODES = np.linspace(0.0, 1.0, 9)
+
+
+def scalar(rho: float) -> UncertainLoop:
+    """x+ = (0.3 + 0.4 rho + 0.1 delta) x"""
+    return UncertainLoop([[0.3 + 0.4 * rho]], [[1.0]], [[1.0]], [0.1], [0])
+
+
+def test_one_state_reaches_its_exact_margin():
+    """|0.7| + 0.1 kappa < 1 at the end of the schedule: no P(rho) does better, and none does worse by more than its nodes."""
+    loop = scheduled_loop(scalar, NODES)
+    assert certificate(loop, 2.9, 0.01) is not None
+    assert certificate(loop, 3.01, 0.01) is None
+
+
+def test_a_certificate_is_true_of_every_run():
+    """Random schedules within the rate and random parameters: x'P(rho) x falls at every sample, also where cells meet."""
+    loop = scheduled_loop(turning, NODES)
+    rate = 0.03
+    found = largest(loop, rate, 12.0)
+    random, x, rho = np.random.default_rng(0), np.array([1.0, -0.5]), 0.4
+    own = turning(0.5).balance()
+
+    def P(at):
+        return np.array([[np.interp(at, NODES, found.P[:, i, j]) for j in range(2)] for i in range(2)])
+
+    for k in range(3000):
+        step = rate * (random.choice([-1.0, 1.0]) if k % 50 else 0.0)
+        after = float(np.clip(rho + step, 0.0, 1.0))
+        A = turning(rho).moved(own).at(found.kappa * random.choice([-1.0, 1.0], size=2))
+        y = A @ x
+        assert y @ P(after) @ y < x @ P(rho) @ x
+        x, rho = y / np.linalg.norm(y), after
+
+
+def test_a_faster_schedule_leaves_less_and_no_rate_is_the_frozen_bound():
+    loop = scheduled_loop(turning, NODES)
+    slow, fast = (largest(loop, rate, 12.0, 1.02).kappa for rate in (1e-3, 0.125))
+    assert fast < 0.99 * slow
+    worst = min(margin(turning(rho)).falsified.kappa for rho in NODES)
+    assert 0.7 * worst < slow < worst
+
+
+def test_more_nodes_come_nearer():
+    kappas = [largest(scheduled_loop(turning, np.linspace(0.0, 1.0, count)), 1e-3, 12.0, 1.03).kappa for count in (2, 5)]
+    assert kappas[1] > 1.05 * kappas[0]
+
+
+def test_the_corners_hold_what_the_schedule_may_do():
+    """Every (rho, rho+) within the rate is a mean of the corners of its cell: their weights on the nodes say which."""
+    from scipy.optimize import linprog
+
+    rate, random = 0.07, np.random.default_rng(2)
+    nodes = np.array([0.0, 0.1, 0.3, 0.6, 1.0])
+
+    def hats(at):
+        return np.array([np.interp(at, nodes, row) for row in np.eye(5)])
+
+    for _ in range(200):
+        rho = random.uniform(0.0, 1.0)
+        after = np.clip(rho + random.uniform(-rate, rate), 0.0, 1.0)
+        cell = min(int(np.searchsorted(nodes, rho, side="right")) - 1, 3)
+        corners = np.array([np.concatenate(pair) for _, pair in pairs(nodes, cell, rate)])
+        target = np.concatenate([hats(rho), hats(after)])
+        found = linprog(np.zeros(len(corners)), A_eq=np.vstack([corners.T, np.ones(len(corners))]), b_eq=np.append(target, 1.0))
+        assert found.success
+
+
+def test_a_broken_certificate_is_rejected():
+    loop = scheduled_loop(turning, NODES)
+    good = largest(loop, 0.01, 12.0)
+    assert good.holds(loop)
+    assert not replace(good, kappa=3.0 * good.kappa).holds(loop)
+    assert not replace(good, rate=0.125).holds(loop)
+    assert not replace(good, rate=0.2).holds(loop)  # beyond a cell the pairs say nothing
+    assert not replace(good, D=0.0 * good.D).holds(loop)
+    assert not replace(good, D=good.D[:-1]).holds(loop)
+    for i in range(len(NODES)):
+        P = good.P.copy()
+        P[i] = -P[i]
+        assert not replace(good, P=P).holds(loop)
+    P = good.P.copy()
+    P[4] *= 3.0
+    assert not replace(good, P=P).holds(loop)
+    assert not good.holds(replace(loop, A=1.3 * loop.A))
+    middle = loop.A.copy()
+    middle[7] *= 1.5  # the middle of a cell alone
+    assert not good.holds(replace(loop, A=middle))
+
+
+def test_odd_schedules_are_refused():
+    with pytest.raises(InputError, match="1 nodes"):
+        scheduled_loop(turning, [0.5])
+    with pytest.raises(InputError, match=r"not quadratic between 0 and 0\.5"):
+        scheduled_loop(lambda rho: replace(scalar(0.0), A=np.array([[0.3 + 0.2 * abs(rho - 0.3)]])), [0.0, 0.5, 1.0])
+    with pytest.raises(InputError, match="another function of the state"):
+        scheduled_loop(lambda rho: replace(scalar(rho), C=np.array([[1.0 + rho]])), NODES)
+    with pytest.raises(InputError, match="rate"):
+        certificate(scheduled_loop(scalar, NODES), 1.0, 0.2)
+    with pytest.raises(InputError, match="no certificate for a schedule"):
+        largest(scheduled_loop(lambda rho: replace(scalar(0.0), A=np.array([[0.7 + 0.4 * rho]])), NODES), 0.01, 1.0)
+
+
+def test_a_certificate_of_other_shapes_is_none():
+    loop = scheduled_loop(scalar, NODES)
+    good = certificate(loop, 1.0, 0.01)
+    assert isinstance(good, ScheduledCertificate)
+    assert not replace(good, P=good.P[:-1]).holds(loop)
