@@ -425,6 +425,6 @@ def _carried(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> _Carried:
     scale = np.where(across == 0.0, 0.0, np.conj(largest) / np.where(across == 0.0, 1.0, across))
     slope = np.empty(delta.shape)
     for k in reversed(range(L)):
-        slope[:, k] = (scale[:, None] * (back @ loop.columns) * seen[:, k]).real
+        slope[:, k] = np.real(scale[:, None] * (back @ loop.columns) * seen[:, k])
         back = (back[:, None, :] @ A[:, k])[:, 0]
     return _Carried(np.abs(largest), slope)
