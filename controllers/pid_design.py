@@ -119,7 +119,7 @@ def design_pid(
     knots: int | Sequence[float] = 5,
     bounds: Bounds = DEFAULT,
     structure: Structure | None = None,
-    setpoint: Sequence[float] | None = None,
+    setpoint: Sequence[float] | np.ndarray | None = None,
     robust_to: Sequence[LPVModel] = (),
     scale: np.ndarray | None = None,
     say: Say = lambda _: None,
@@ -127,16 +127,14 @@ def design_pid(
     """A scheduled PID for `model` whose frozen loops keep `bounds` over the schedule range, for every model in `robust_to` too.
 
     knots: how many over the range, or their values; one knot, or a model without schedule, gives a fixed PID, tuned there and
-    checked there. setpoint (ny,): outputs that u0 + Kr r holds, the usual set-point; default: those of the operating point.
+    checked there. setpoint (ny,): the usual set-point, which the law holds without its integral; default: the operating point's.
     scale (ny,): outputs that count as equally large; default: what unit inputs move in the middle of the range.
     Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
     """
     grid = _knots(model, knots)
     plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
-    Kr, u0 = plan.steady_inputs(setpoint)
-    plan.law(
-        np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), Kr, u0
-    )  # refuses limits that cross, before any work
+    held = plan.held(setpoint)
+    plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), held)  # refuses limits that cross, before any work
     omega = frequencies(model.dt)
     first = []
     for rho in grid:
@@ -149,7 +147,7 @@ def design_pid(
         if len(grid) > 1 or attempt:
             goals = np.exp(np.interp(rhos, grid, np.log(alone)))
             X = plan.tuned(rhos, plan.basis(rhos), omega, goals, X).X
-        law, checked = plan.law(X, Kr, u0), plan.between(rhos)
+        law, checked = plan.law(X, held), plan.between(rhos)
         margins = plan.margins(law, checked)
         bad = margins.broken(bounds)
         if not bad.any():
@@ -334,10 +332,13 @@ class _Plan:
             **options,
         )
 
-    def law(self, X: np.ndarray, Kr: np.ndarray, u0: np.ndarray) -> ScheduledPID:
+    def law(self, X: np.ndarray, held: np.ndarray) -> ScheduledPID:
+        """The law with these parts; at rest at `held` (m, ny) it needs no integral."""
         model, structure = self.model, self.structure
         nu, ny = len(model.inputs), len(model.outputs)
         Kp, Ki, *rest = X / self.scale
+        Kr, u0 = self.steady_inputs(held)
+        u0 = u0 + (1.0 - structure.b) * np.einsum("iuy,iy->iu", Kp, held)  # what Kp (b r - y) leaves there
         each = lambda given, default: np.broadcast_to(np.asarray(default if given is None else given, dtype=float), nu)  # noqa: E731
         return ScheduledPID(
             actuated=tuple(c.name for c in model.inputs),
@@ -353,14 +354,19 @@ class _Plan:
             units={c.name: c.unit for c in (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))},
         )  # fmt: skip
 
-    def steady_inputs(self, setpoint: Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
-        """Kr (m, nu, ny) and u0 (m, nu) at every knot: u0 + Kr r holds the set-point, or the outputs of the operating point."""
+    def held(self, setpoint: Sequence[float] | np.ndarray | None) -> np.ndarray:
+        """The usual set-point at every knot (m, ny): as given, or the outputs of the operating point."""
         model = self.model
-        phi = model.operating_point.basis(self.grid)
-        u, y = phi @ model.operating_point.u, phi @ model.operating_point.y
+        y = model.operating_point.basis(self.grid) @ model.operating_point.y
         if setpoint is not None and len(setpoint) != len(model.outputs):
             raise InputError(f"{len(setpoint)} set-points", file=model.name, mend=f"one for each of {len(model.outputs)} outputs")
-        held = y if setpoint is None else np.broadcast_to(np.asarray(setpoint, dtype=float), y.shape)
+        return y if setpoint is None else np.broadcast_to(np.asarray(setpoint, dtype=float), y.shape)
+
+    def steady_inputs(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Kr (m, nu, ny) and u0 (m, nu) at every knot: u0 + Kr r holds r = held (m, ny), with all entries allowed every r."""
+        model, point = self.model, self.model.operating_point
+        phi = point.basis(self.grid)
+        u, y = phi @ point.u, phi @ point.y
         gains = np.array([self.frozen(model, rho, np.ones(y.shape[1])).gain for rho in self.grid])
         used = np.zeros(gains.shape[1:]) if not self.structure.feedforward else np.ones(gains.shape[1:])
         used = used if self.structure.allowed is None else used * np.transpose(self.structure.allowed)

@@ -5,9 +5,9 @@
     u  = v within `low`, `high` and `rate` from the last command
     z+ = z + dt Ki (r - y) + what keeps z from winding up
 
-The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0 leaves u where it
-is, but for u0 + Kr r, what is known to hold the set-point (both are the same law where rho stands still). As a transfer function
-from e = r - y, with b = c = 1, Kr = 0 and z = exp(s dt):
+The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0 moves u by what u0,
+Kr r and Kp (b - 1) r move, and not by the gains (both are the same law where rho stands still). As a transfer function from
+e = r - y, with b = c = 1, Kr = 0 and z = exp(s dt):
 
     K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf)
 
@@ -16,6 +16,7 @@ Shamma, "Research on gain scheduling", Automatica 36 (2000), section 5, on where
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -162,6 +163,15 @@ class ScheduledPID:
     def response(self, omega: np.ndarray, rho: float | None = None) -> np.ndarray:
         """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1, without Kr."""
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
+
+    def weighted(self, b: np.ndarray | float, at: np.ndarray) -> "ScheduledPID":
+        """The law with set-point weights b (ny,) that commands the same as before where r = y = at.
+
+        Kp(rho) (b - 1) r is a command that the integral has to make up for, and that moves with the schedule: u0 takes it away at
+        the usual set-point.
+        """
+        after = np.broadcast_to(np.asarray(b, dtype=float), self.b.shape)
+        return replace(self, b=after, u0=self.u0 + self.Kp @ ((self.b - after) * at))
 
     # ---- files ----------------------------------------------------------------------------------------------------------
 

@@ -69,8 +69,8 @@ class Designed:
 class _Chosen:
     """Laws as they are chosen, one after the other."""
 
-    def __init__(self, rehearsals: Mapping[str, Rehearsal], progress: Say):
-        self.rehearsals, self.progress = rehearsals, progress
+    def __init__(self, usual: np.ndarray, rehearsals: Mapping[str, Rehearsal], progress: Say):
+        self.usual, self.rehearsals, self.progress = usual, rehearsals, progress  # usual (ny,): set-point
         self.laws: dict[str, object] = {}
         self.pids: dict[str, PIDDesign] = {}
         self.rehearsed: dict[str, dict[str, float]] = {}
@@ -78,7 +78,7 @@ class _Chosen:
 
     def pid(self, name: str, found: PIDDesign, models: Sequence[str]) -> ScheduledPID:
         """The law with each of the set-point weights."""
-        candidates = {f"b = {b:g}": replace(found.law, b=np.full(len(found.law.measured), b)) for b in WEIGHTS}
+        candidates = {f"b = {b:g}": found.law.weighted(b, self.usual) for b in WEIGHTS}
         law = self._take(name, candidates, models)
         self.pids[name] = replace(found, law=law)
         return law
@@ -144,13 +144,13 @@ def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
     roles = {"inputs": ("V1", "V2"), "outputs": ("w3", "theta"), "schedule": ("r2",)}
     progress("web-winding: identifying on prbs1 and rbs")
     model = SSM(order=6 if quick else None).fit(_records(WINDING, ("prbs1", "rbs"), seed, roles))
-    size = np.array([5.0, 5.0])  # rad/s, deg
-    seen = rehearsal(model, (SPEED, 0.0), size, REHEARSED, seed)
-    chosen = _Chosen({model.name: seen}, progress)
+    usual, size = np.array([SPEED, 0.0]), np.array([5.0, 5.0])  # rad/s, deg
+    seen = rehearsal(model, usual, size, REHEARSED, seed)
+    chosen = _Chosen(usual, {model.name: seen}, progress)
     fallback: Any = None
     for name, knots in (("fixed PID", 1), ("scheduled PID", 3 if quick else 5)):
         progress(f"web-winding: designing the {name}")
-        found = design_pid(model, knots=knots, structure=WINDING_LIMITS, setpoint=(SPEED, 0.0))
+        found = design_pid(model, knots=knots, structure=WINDING_LIMITS, setpoint=usual)
         fallback = chosen.pid(name, found, [model.name])
     low, high = np.array([-np.inf, -20.0]), np.array([np.inf, 20.0])
     price = chosen.mpc(
@@ -222,7 +222,8 @@ def _design_robot(quick: bool, seed: int, progress: Say) -> Designed:
     progress("welding-robot: designing")
     nominal, heavy = models["nominal"], models["heavy"]
     size = np.array([0.6])  # m/s
-    chosen = _Chosen({name: rehearsal(own, (0.0,), size, REHEARSED, seed) for name, own in models.items()}, progress)
+    seen = {name: rehearsal(own, (0.0,), size, REHEARSED, seed) for name, own in models.items()}
+    chosen = _Chosen(np.zeros(1), seen, progress)
     chosen.pid("PID", design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)), ["nominal"])
     robust = design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy])
     fallback = chosen.pid("robust PID", robust, list(models))

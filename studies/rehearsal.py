@@ -86,7 +86,9 @@ def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int,
     return Experiment("setpoint", model.dt * np.arange(samples), channels, values, model.dt)
 
 
-def rehearsal(model: LPVModel, centre: Sequence[float], size: Sequence[float] | np.ndarray, samples: int, seed: int) -> Rehearsal:
+def rehearsal(
+    model: LPVModel, centre: Sequence[float] | np.ndarray, size: Sequence[float] | np.ndarray, samples: int, seed: int
+) -> Rehearsal:
     """Random steps of every output up to `size` around `centre`, at times of their own, once along the whole schedule."""
     random = np.random.default_rng(seed)
     ny = len(model.outputs)

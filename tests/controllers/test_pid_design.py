@@ -103,6 +103,17 @@ def test_the_feedforward_holds_every_setpoint_at_every_knot(designed):
             np.testing.assert_allclose(steady(rho, gains.u0 + gains.Kr @ r), r, atol=1e-9)
 
 
+@pytest.mark.parametrize("b", [0.0, 0.4, 1.0])
+def test_set_point_weights_leave_the_usual_set_point_alone(b):
+    """At r = y = the usual set-point the law commands what holds it, at every knot, before its integral has done anything."""
+    for structure in (Structure(b=b), Structure(b=b, feedforward=False)):
+        law = design_pid(machine(), knots=[1.0, 2.0], structure=structure, setpoint=(12.0, 0.5)).law
+        r = np.array([12.0, 0.5])
+        for rho in (1.0, 2.0):
+            u, _ = law.step(law.init(), r, r, rho)
+            np.testing.assert_allclose(steady(rho, u), r, atol=1e-9)
+
+
 def test_without_feedforward_u0_holds_the_usual_setpoint():
     bare = Structure(feedforward=False)
     found = design_pid(machine(), knots=[1.0, 2.0], structure=bare, setpoint=(12.0, 0.0)).law
