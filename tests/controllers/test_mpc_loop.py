@@ -138,7 +138,8 @@ def scheduled(horizon=1) -> MPC:
     one = base.fallback
     fallback = replace(
         one, Kp=np.concatenate([one.Kp, 3.0 * one.Kp]), Ki=np.concatenate([one.Ki, -2.0 * one.Ki]),
-        Kd=np.zeros((2, 2, 2)), u0=np.zeros((2, 2)), basis=PiecewiseLinear((1.0, 2.0)), schedule="r2", span=np.array([1.0, 2.0]),
+        Kd=np.zeros((2, 2, 2)), Kr=np.full((2, 2, 2), 0.3), u0=np.zeros((2, 2)), basis=PiecewiseLinear((1.0, 2.0)),
+        schedule="r2", span=np.array([1.0, 2.0]),
         low=np.full(2, -1e6), high=np.full(2, 1e6), rate=np.full(2, 1e9),
     )  # fmt: skip
     return replace(base, fallback=fallback)

@@ -238,6 +238,7 @@ def scheduled(**options) -> NMPC:
     base = winding(horizon=3).fallback
     fallback = replace(
         base, Kp=np.concatenate([base.Kp, -3.0 * base.Kp]), Ki=np.concatenate([base.Ki, 4.0 * base.Ki]), Kd=np.zeros((2, 2, 2)),
+        Kr=np.stack([np.full((2, 2), 0.2), np.full((2, 2), -0.1)]),
         u0=np.zeros((2, 2)), basis=PiecewiseLinear((0.01, 0.03)), schedule="r2", span=np.array([0.01, 0.03]),
         low=np.full(2, -50.0), high=np.full(2, 50.0),
     )  # fmt: skip
