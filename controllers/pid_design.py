@@ -59,7 +59,8 @@ class Margins:
     sensitivity, complementary: spectral norms of S and T at the loop broken as the bounds say; effort: |Q| as a multiple of
     1 / sigma_min(P(0)); loops (n, nu): |S_ii| with one loop broken at the plant input and the others closed; radius: largest
     modulus of a closed-loop pole; bandwidth [rad/s]: where |S| first reaches 1 / sqrt(2); frequencies (n, 3) [rad/s]: where |S|,
-    |T| and |Q| peak; delay (n, nu) [s]: how much later one command may act before its loop is lost, the others closed.
+    |T| and |Q| peak; delay (n, nu) [s]: how much later one command may act before its loop is lost, the others closed;
+    0 where it is lost already.
     """
 
     rho: np.ndarray = field("n")
@@ -100,7 +101,8 @@ class Structure:
     """What the law may look like: derivative part or not, filter time constant, entries of the gain matrices, weights, limits.
 
     Tf None: two samples. allowed (nu, ny): entries that may differ from 0. b: set-point weight of the proportional part.
-    feedforward: Kr = P(0)^-1, of the allowed entries alone, commands what holds the set-point before there is an error.
+    feedforward: Kr = P(0)^-1 commands what holds the set-point before there is an error; where entries must be 0, what comes
+    nearest to it.
     """
 
     derivative: bool = True
@@ -193,29 +195,31 @@ def margins_of(
         norms = np.stack([np.linalg.norm(M, 2, axis=(1, 2)) for M in (S, np.eye(S.shape[1]) - S, K @ output)])
         steady = np.real(np.asarray(plant(1.0, squeeze=False))) / scale[:, None]
         slow = np.nonzero(norms[0] > np.sqrt(0.5))[0]
+        radius = np.abs(plant.feedback(answer).poles()).max()
         rows.append({
             "rho": 0.0 if rho is None else rho,
             "sensitivity": norms[0].max(),
             "complementary": norms[1].max(),
             "effort": norms[2].max() * np.linalg.svd(steady, compute_uv=False)[ny - 1],
             "loops": np.abs(np.einsum("wii->wi", opened)).max(axis=0),
-            "radius": np.abs(plant.feedback(answer).poles()).max(),
+            "radius": radius,
             "bandwidth": omega[slow[0]] if len(slow) else omega[-1],
-            "delay": delay_margins(1.0 / np.einsum("wii->wi", opened) - 1.0, omega),
+            "delay": delay_margins(1.0 / np.einsum("wii->wi", opened) - 1.0, omega) if radius < 1.0 else np.zeros(nu),
             "frequencies": omega[norms.argmax(axis=1)],
         })  # fmt: skip
     return Margins(**{key: np.array([row[key] for row in rows]) for key in rows[0]})
 
 
 def delay_margins(L: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """(pi + arg L) / omega at the crossings |L| = 1, the least of each loop (nu,) in s; infinite where there is none.
+    """(pi + arg L) / omega at the crossings |L| = 1, the least of each loop (nu,) in s; infinite where |L| stays below 1.
 
-    L (N, nu) at omega (N,), the phase between -2 pi and 0. Exact for delays of whole samples, between them as in continuous time.
+    L (N, nu) at omega (N,) of a stable loop, the phase between -2 pi and 0. Exact for delays of whole samples, between them as in
+    continuous time. 0 where |L| is 1 or more at the highest frequency: the delay turns such a loop as fast as you like.
     """
-    found = np.full(L.shape[1], np.inf)
+    found = np.where(np.abs(L[-1]) >= 1.0, 0.0, np.inf)
     for i, own in enumerate(L.T):
         size = np.log(np.abs(own))
-        for k in np.flatnonzero(size[:-1] * size[1:] < 0.0):
+        for k in np.flatnonzero((size[:-1] > 0.0) != (size[1:] > 0.0)):
             share = size[k] / (size[k] - size[k + 1])
             at = omega[k] + share * (omega[k + 1] - omega[k])
             phase = np.angle(own[k]) + share * np.angle(own[k + 1] / own[k])
@@ -368,10 +372,13 @@ class _Plan:
         phi = point.basis(self.grid)
         u, y = phi @ point.u, phi @ point.y
         gains = np.array([self.frozen(model, rho, np.ones(y.shape[1])).gain for rho in self.grid])
-        used = np.zeros(gains.shape[1:]) if not self.structure.feedforward else np.ones(gains.shape[1:])
-        used = used if self.structure.allowed is None else used * np.transpose(self.structure.allowed)
-        Kr, whole = np.linalg.pinv(used * gains), np.linalg.pinv(gains)
-        return Kr, u + np.einsum("iuy,iy->iu", whole, held - y) - np.einsum("iuy,iy->iu", Kr, held)
+        Kr = np.zeros(gains.swapaxes(1, 2).shape)
+        if self.structure.feedforward:
+            allowed = np.ones(Kr.shape[1:]) if self.structure.allowed is None else np.asarray(self.structure.allowed)
+            for gain, own in zip(gains / self.scale[:, None], Kr, strict=True):
+                for j, entries in enumerate(allowed.T.astype(bool)):  # the inputs that set-point j may move
+                    own[entries, j] = np.linalg.pinv(gain[:, entries])[:, j] / self.scale[j]
+        return Kr, u + np.einsum("iuy,iy->iu", np.linalg.pinv(gains), held - y) - np.einsum("iuy,iy->iu", Kr, held)
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:
         """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""

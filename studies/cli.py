@@ -115,7 +115,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--feedthrough",
         action=argparse.BooleanOptionalAction,
-        help="lti, ssm: let inputs act within their own sample, or not (default: where open-loop records show it)",
+        help="lti, ssm: let inputs act within their own sample, or not (default: where the records show it)",
     )
     sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
     sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")

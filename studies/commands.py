@@ -6,6 +6,7 @@ from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TextIO
 
 import numpy as np
@@ -110,7 +111,8 @@ def simulate(options: Namespace) -> int:
         if kind == "record" and path.resolve() == Path(name).resolve():
             raise InputError("the simulated record would overwrite the measured one", file=path, mend="choose another --out")
         write_csv(done.experiment, path)
-        write_csv(done.states, folder / "states" / f"{done.experiment.name}.csv")  # apart: the folder is a set of records
+        if done.states is not None:
+            write_csv(done.states, folder / "states" / f"{done.experiment.name}.csv")  # apart: the folder is a set of records
         say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
         entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": applied}
         if kind == "record":
@@ -126,7 +128,8 @@ def simulate(options: Namespace) -> int:
         summary.append(entry)
     configuration = {
         "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
-        "controller": options.controller, "effects_of_plant": plant.effects,
+        "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration,
+        "effects_of_plant": plant.effects,
         "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
     }  # fmt: skip
     read_files = [*options.inputs_from, *found.files, *([options.controller] if options.controller else [])]
@@ -153,7 +156,7 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
     """The controller holding its set-points: on a plant, or on an identified model once along its whole schedule."""
     from studies.rehearsal import hold
     from workbench.lpv import load_model
-    from workbench.simulate import Run, Scenario
+    from workbench.simulate import Scenario
     from workbench.simulate import simulate as run_plant
 
     setpoint = parse_numbers(part for text in options.setpoint for part in names(text))
@@ -162,7 +165,7 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
         if effects or parameters or start:
             raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
         record = hold(load_model(found.model), law, setpoint, samples, seed)
-        return Run(record, record.select([c.name for c in record.channels if c.role == "output"]), 1)
+        return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
     for name in setpoint:
         check_known("output of the controller", name, law.measured)
     if missing := [name for name in law.measured if name not in setpoint]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.data import Channel, Experiment
+from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel
 from workbench.records import field, record
@@ -38,6 +38,7 @@ class Rehearsal:
         Raises InputError where the law reads or commands what the model does not have.
         """
         model, point = self.model, self.model.operating_point
+        _check_fits(law, model)
         at_y, at_u = _places(law, law.measured, model.outputs), _places(law, law.actuated, model.inputs)
         if np.any(model.D):
             raise InputError("its outputs see the command of their own sample", file=model.name, mend=FEEDTHROUGH)
@@ -46,8 +47,9 @@ class Rehearsal:
         K = model.predictor.K if model.predictor else np.zeros((len(model.terms), model.order, len(self.size)))
         A, B, C = (np.tensordot(weights[0], M, 1) for M in (model.A, model.B, model.C))
         reached = np.linalg.solve(np.eye(len(A)) - A, B)
-        held = np.linalg.pinv(C @ reached) @ (self.references[0] - y0[0])
-        x, commands, y = reached @ held, np.tile(u0[0] + held, (len(self.rho), 1)), np.empty_like(self.references)
+        held = np.zeros(len(model.inputs))  # an input that the law does not command stays at the operating point
+        held[at_u] = np.linalg.pinv((C @ reached)[np.ix_(at_y, at_u)]) @ (self.references[0] - y0[0])[at_y]
+        x, commands, y = reached @ held, u0 + held * np.isin(np.arange(len(held)), at_u), np.empty_like(self.references)
         state = law.init(commands[0, at_u])
         for k, r in enumerate(self.references):
             A, B, C, K_k = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, model.C, K))
@@ -58,8 +60,19 @@ class Rehearsal:
 
     def cost(self, law: Any) -> float:
         """Mean square of the errors under the law; infinite where the loop runs away."""
-        errors = (self.references - self.run(law)[1]) / self.size
-        return float(np.mean(errors**2)) if np.isfinite(errors).all() else np.inf
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(np.mean(((self.references - self.run(law)[1]) / self.size) ** 2))
+        return cost if np.isfinite(cost) else np.inf
+
+
+def _check_fits(law: Any, model: LPVModel) -> None:
+    """Refuse a law of another sample time or another schedule."""
+    if abs(law.dt - model.dt) > SAME_DT * model.dt:
+        mend = "design one on this model"
+        raise InputError(f"{law.name} is sampled every {law.dt:g} s, the model every {model.dt:g} s", file=model.name, mend=mend)
+    if law.schedule and (model.schedule is None or law.schedule != model.schedule.name):
+        known = model.schedule.name if model.schedule else "no schedule"
+        raise InputError(f"{law.name} is scheduled on {law.schedule}, the model has {known}", file=model.name)
 
 
 def _places(law: Any, names: Sequence[str], channels: Sequence[Channel]) -> list[int]:
@@ -70,19 +83,22 @@ def _places(law: Any, names: Sequence[str], channels: Sequence[Channel]) -> list
 
 def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int, seed: int | None) -> Experiment:
     """A record of the law holding set-points on the model, once along its whole schedule; seed None: without noise."""
+    _check_fits(law, model)
     known = [c.name for c in model.outputs]
     for name in setpoint:
-        check_known("output", name, known, file=model.name)
-    if missing := [name for name in known if name not in setpoint]:
+        check_known("output of the controller", name, law.measured)
+    if missing := [name for name in law.measured if name not in setpoint]:
         raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
-    r = [setpoint[name] for name in known]
+    r = [setpoint.get(name, 0.0) for name in known]  # what the law does not measure has none
     whole = rehearsal(model, r, np.zeros(len(r)), samples, seed or 0)
     whole = whole if seed is not None else replace(whole, e=np.zeros_like(whole.e))
     u, y = whole.run(law)
     schedule = (replace(model.schedule, role="schedule"),) if model.schedule else ()
-    set_points = [replace(c, name=f"{c.name}_set", role="reference") for c in model.outputs]
+    at = _places(law, law.measured, model.outputs)
+    units = [model.outputs[i].unit for i in at]
+    set_points = [Channel(name, unit, "reference") for name, unit in zip(law.references, units, strict=True)]
     channels = (*model.inputs, *model.outputs, *schedule, *set_points)
-    values = np.column_stack([u, y, *([whole.rho] if schedule else []), whole.references])
+    values = np.column_stack([u, y, *([whole.rho] if schedule else []), whole.references[:, at]])
     return Experiment("setpoint", model.dt * np.arange(samples), channels, values, model.dt)
 
 
@@ -92,17 +108,25 @@ def rehearsal(
     """Random steps of every output up to `size` around `centre`, at times of their own, once along the whole schedule."""
     random = np.random.default_rng(seed)
     ny = len(model.outputs)
-    low, high = (round(s / model.dt) for s in HOLD)
+    low, high = (max(1, round(s / model.dt)) for s in HOLD)
     references = np.empty((samples, ny))
     for j in range(ny):
         stays = random.integers(low, high, endpoint=True, size=samples // low + 1)
         references[:, j] = np.repeat(centre[j] + size[j] * random.uniform(-1.0, 1.0, len(stays)), stays)[:samples]
     rho = np.linspace(model.span[0], model.span[1], samples) if model.schedule else np.zeros(samples)
-    spread = np.linalg.cholesky(model.noise) if model.noise is not None else np.zeros((ny, ny))
-    return Rehearsal(model, references, rho, random.normal(size=(samples, ny)) @ spread.T, np.asarray(size, dtype=float))
+    e = random.normal(size=(samples, ny)) @ _root(np.zeros((ny, ny)) if model.noise is None else model.noise).T
+    return Rehearsal(model, references, rho, e, np.asarray(size, dtype=float))
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """L with L L' = covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def calmest(candidates: Mapping[str, Any], rehearsals: Sequence[Rehearsal]) -> tuple[str, dict[str, float]]:
     """Of candidates from calm to brisk the first that costs no more than the cheapest, and the mean cost of each."""
     costs = {name: float(np.mean([own.cost(law) for own in rehearsals])) for name, law in candidates.items()}
+    if not np.isfinite(min(costs.values())):
+        raise InputError("no candidate holds the model", mend="loosen the bounds of the design, or identify another model")
     return next(name for name, cost in costs.items() if cost <= NO_WORSE * min(costs.values())), costs

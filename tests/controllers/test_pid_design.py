@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from controllers.pid_design import Structure, design_pid, loops_of, margins_of
+from controllers.pid_design import Structure, delay_margins, design_pid, loops_of, margins_of
 from controllers.tuning import Bounds
 from workbench.data import Channel
 from workbench.errors import InputError
@@ -123,14 +123,25 @@ def test_without_feedforward_u0_holds_the_usual_setpoint():
     np.testing.assert_allclose(design_pid(machine(), knots=1, structure=bare).law.u0, [[0.5, 0.2]])
 
 
-def test_two_loops_have_two_feedforwards():
-    """Each loop's own inverse gain; at the usual set-point the two commands together hold both outputs all the same."""
-    loops = Structure(allowed=np.eye(2))
-    found = design_pid(machine(), knots=[1.2], structure=loops, setpoint=(12.0, 0.5)).law
-    A, B, C, D = machine().freeze(1.2)
+@pytest.mark.parametrize("allowed", [np.eye(2), [[1, 0], [1, 1]], [[1, 1], [0, 1]], [[0, 1], [1, 0]]])
+def test_a_feedforward_of_some_entries_comes_as_near_as_it_can(allowed):
+    """No other entries of the structure bring the outputs nearer to a set-point; those that must be 0 are."""
+    rho = 1.2 if np.trace(allowed) else 1.9
+    design = design_pid(machine(), knots=[rho], structure=Structure(allowed=np.array(allowed)), setpoint=(12.0, 0.5))
+    Kr, scale = design.law.Kr[0], design.scale
+    assert (Kr[np.array(allowed) == 0] == 0.0).all()
+    A, B, C, D = machine().freeze(rho)
     gain = C @ np.linalg.solve(np.eye(2) - A, B) + D
-    np.testing.assert_allclose(found.Kr[0], np.diag(1.0 / np.diag(gain)), rtol=1e-9)
-    np.testing.assert_allclose(steady(1.2, found.u0[0] + found.Kr[0] @ [12.0, 0.5]), [12.0, 0.5], atol=1e-9)
+
+    def missed(K):
+        return np.linalg.norm((gain @ K - np.eye(2)) / scale[:, None] * scale)
+
+    for i, j in zip(*np.nonzero(allowed), strict=True):
+        for step in (-1e-3, 1e-3):
+            other = Kr.copy()
+            other[i, j] += step
+            assert missed(other) > missed(Kr)
+    np.testing.assert_allclose(steady(rho, design.law.u0[0] + Kr @ [12.0, 0.5]), [12.0, 0.5], atol=1e-9)
 
 
 def test_the_feedforward_leaves_the_loop_alone(designed):
@@ -204,3 +215,11 @@ def test_the_delay_margin_is_that_of_whole_samples(designed):
             late = control.append(*(control.ss([], [], [], [[s]], DT) if isinstance(s, float) else s for s in shift))
             poles = control.feedback(plant * late, K).poles()
             assert (np.abs(poles).max() < 1.0) == stable
+
+
+def test_a_lost_loop_has_no_delay_margin(designed):
+    wrong = replace(designed.law, Ki=-designed.law.Ki)
+    assert (margins_of(wrong, machine(), [1.5]).delay == 0.0).all()
+    flat = np.full((50, 1), 2.0 + 0.0j)  # 1 + 2 / z has its pole at -2
+    assert delay_margins(flat, np.linspace(0.1, 3.0, 50)) == 0.0
+    assert delay_margins(0.5 * flat / 2.0, np.linspace(0.1, 3.0, 50)) == np.inf

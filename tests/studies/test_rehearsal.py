@@ -29,7 +29,7 @@ def noisy():
 
 def law(gain=1.0, **options):
     Ki = gain * np.linalg.inv([[3.5, 3.5], [-2.0, 2.0]])  # of the steady gains in the middle
-    return pid(("V1", "V2"), ("w3", "theta"), ("r1", "r2"), 0.1, np.zeros((2, 2)), Ki, **options)
+    return pid(("V1", "V2"), ("w3", "theta"), ("w3_set", "theta_set"), 0.1, np.zeros((2, 2)), Ki, **options)
 
 
 def test_the_loop_is_linear_theory_s_at_a_schedule_that_stands(noisy):
@@ -49,7 +49,8 @@ def test_the_loop_is_linear_theory_s_at_a_schedule_that_stands(noisy):
         outputs=y,
         states=x,
     )
-    loop = control.interconnect([plant, one.at()], inplist=["r1", "r2", "e1", "e2"], outlist=y, inputs=["r1", "r2", "e1", "e2"])
+    wanted = ["w3_set", "theta_set", "e1", "e2"]
+    loop = control.interconnect([plant, one.at()], inplist=wanted, outlist=y, inputs=["w3_set", "theta_set", "e1", "e2"])
     moved = seen.references - seen.references[0]  # from rest there
     _, out = control.forced_response(loop, T=0.1 * np.arange(300), U=np.hstack([moved, seen.e]).T)
     assert seen.cost(one) == pytest.approx(np.mean(((moved - out.T) / SIZE) ** 2), rel=1e-9)
@@ -113,3 +114,28 @@ def test_what_a_loop_on_a_model_needs_is_said(noisy):
         hold(noisy, replace(law(), actuated=("V1", "V9")), {"w3": 1.0, "theta": 0.0}, 10, 1)
     with pytest.raises(InputError, match="command of their own sample"):
         hold(replace(noisy, D=np.ones_like(noisy.D)), law(), {"w3": 1.0, "theta": 0.0}, 10, 1)
+
+
+def test_a_law_of_another_clock_or_schedule_is_refused(noisy):
+    setpoint = {"w3": 1.0, "theta": 0.0}
+    with pytest.raises(InputError, match=r"sampled every 0\.02 s, the model every 0\.1 s"):
+        hold(noisy, replace(law(), dt=0.02), setpoint, 10, 1)
+    with pytest.raises(InputError, match="scheduled on speed, the model has r2"):
+        hold(noisy, replace(law(), schedule="speed", span=(1.0, 2.0)), setpoint, 10, 1)
+
+
+def test_inputs_and_outputs_that_a_law_leaves_alone(noisy):
+    """One loop of the two: the other input stays at its operating point, the other output has no set-point."""
+    one = pid(("V1",), ("w3",), ("speed",), 0.1, [0.05], [0.1])
+    run = hold(noisy, one, {"w3": 10.5}, 600, None)
+    np.testing.assert_array_equal(run["V2"], np.full(600, 0.2))
+    np.testing.assert_allclose(run["w3"][-50:], 10.5, atol=0.02)
+    np.testing.assert_array_equal(run["speed"], np.full(600, 10.5))
+
+
+def test_odd_models_are_rehearsed_all_the_same(noisy):
+    slow = replace(noisy, dt=5.0, noise=np.array([[1.0, 1.0], [1.0, 1.0]]))
+    seen = rehearsal(slow, (10.0, 1.0), SIZE, 2000, 1)
+    np.testing.assert_allclose(seen.e[:, 0], seen.e[:, 1], atol=1e-12)
+    with pytest.raises(InputError, match="no candidate holds"):
+        calmest({"wild": law(1e6)}, [rehearsal(noisy, (10.0, 1.0), SIZE, 2000, 1)])

@@ -21,7 +21,8 @@ import numpy as np
 from workbench.data import SAME_DT
 from workbench.errors import InputError
 from workbench.intervals.domains import nearest
-from workbench.intervals.model import IntervalModel, Mode
+from workbench.intervals.model import IntervalModel, Simulation
+from workbench.intervals.semantics import ParameterBox
 from workbench.records import field, record
 
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
@@ -41,6 +42,8 @@ class LinearLaw(Protocol):
     def measured(self) -> tuple[str, ...]: ...
     @property
     def actuated(self) -> tuple[str, ...]: ...
+    @property
+    def schedule(self) -> str | None: ...
     def at(self, rho: float | None) -> Any:
         """python-control system from (r, y) to u."""
         ...
@@ -116,6 +119,7 @@ def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = N
     Raises InputError where names or sample times do not fit, where no mode is known at rho, and for inputs that act at once.
     """
     models = _in_order(models, law)
+    _check_schedule(models, law, rho)
     system = law.at(rho)
     nr, ny, nu = len(law.references), len(law.measured), len(law.actuated)
     Ac, Bc, Cc, Dc = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
@@ -127,7 +131,7 @@ def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = N
     n = memory + len(Ac)
     Y, C, lam, channel, names = np.zeros((ny, n)), [], [], [], []
     for j, model in enumerate(models):
-        form, box = model.form, _mode_at(model, rho).box
+        form, box = model.form, _box_at(model, rho)
         psi = np.zeros((len(form.source), n))
         for entry, (source, lag) in enumerate(zip(form.source.astype(int), form.lags.astype(int), strict=True)):
             if source == 0:
@@ -161,6 +165,16 @@ def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = N
 def _in_order(models: Sequence[IntervalModel], law: LinearLaw) -> list[IntervalModel]:
     """The models in the order of the law's measurements, checked."""
     known = {model.output.name: model for model in models}
+    if len(known) < len(models):
+        twice = [model.output.name for model in models]
+        raise InputError(f"two interval models of one output among {', '.join(twice)}", file=law.name, mend="give one of them")
+    inputs = {c.name for model in models for c in model.inputs}
+    if unseen := [name for name in law.actuated if name not in inputs]:
+        raise InputError(
+            f"commands {', '.join(unseen)}, which moves no output of the models",
+            file=law.name,
+            mend=f"the models have the inputs {', '.join(sorted(inputs))}",
+        )
     missing = [name for name in law.measured if name not in known]
     if missing:
         raise InputError(
@@ -169,6 +183,18 @@ def _in_order(models: Sequence[IntervalModel], law: LinearLaw) -> list[IntervalM
             mend=f"workbench identify --output {missing[0]} --model interval",
         )
     for model in models:
+        if isinstance(model.semantics, Simulation):
+            raise InputError(
+                "a simulation model promises free runs and nothing about its equation, which the loop is made of",
+                file=model.name,
+                mend="identify with equation-error boxes",
+            )
+        if outputs := [c.name for c in model.inputs if c.name in known]:
+            raise InputError(
+                f"has {outputs[0]} as input, which is the output of another model",
+                file=model.name,
+                mend="identify every output from the commands alone",
+            )
         if abs(model.dt - law.dt) > SAME_DT * law.dt:
             raise InputError(f"sample time {model.dt:g} s, {law.name} has {law.dt:g} s", file=model.name)
         form = model.form
@@ -187,26 +213,42 @@ def _actuator(model: IntervalModel, source: int, law: LinearLaw) -> int | None:
     return law.actuated.index(name) if name in law.actuated else None
 
 
-def _mode_at(model: IntervalModel, rho: float | None) -> Mode:
-    """The mode whose domain holds the schedule value."""
+def _check_schedule(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None) -> None:
+    """Refuse a schedule value that is missing, or that means one thing to the law and another to a model."""
+    known = {model.schedule.name for model in models if model.schedule} | ({law.schedule} if law.schedule else set())
+    if len(known) > 1:
+        raise InputError(f"scheduled on {', '.join(sorted(known))}", file=law.name, mend="law and models share one schedule")
+    if known and rho is None:
+        raise InputError(f"no value of {known.pop()}", file=law.name, mend="give the schedule value to freeze at")
+
+
+def _box_at(model: IntervalModel, rho: float | None) -> ParameterBox:
+    """The box at a schedule value: of the mode that holds it, and where several do the smallest box around theirs."""
+    boxes = [mode.box for mode in model.modes]
     if model.schedule is None:
-        first, *others = model.modes
-        if others:
+        if len(boxes) > 1:
             raise InputError(
-                f"{len(model.modes)} modes that no schedule tells apart",
+                f"{len(boxes)} modes that no schedule tells apart",
                 file=model.name,
                 mend="identify with --schedule, or with one mode",
             )
-        return first
-    unit = f" {model.schedule.unit}".rstrip()
-    if rho is None:
-        raise InputError(f"no value of {model.schedule.name}", file=model.name, mend="give the schedule value to freeze at")
-    found = nearest([mode.domain for mode in model.modes], np.array([[rho]]))
-    if found.gauge[0] > SEEN:
-        raise InputError(
-            f"no mode was identified at {model.schedule.name} = {rho:g}{unit}", file=model.name, mend="give more records"
-        )
-    return model.modes[int(found.index[0])]
+    else:
+        at = np.array([[rho]], dtype=float)
+        domains = [mode.domain for mode in model.modes]
+        found = nearest(domains, at)
+        if found.gauge[0] > SEEN:
+            unit = f" {model.schedule.unit}".rstrip()
+            problem = f"no mode was identified at {model.schedule.name} = {rho:g}{unit}"
+            raise InputError(problem, file=model.name, mend="give records of that part of the schedule")
+        held = [box for box, domain in zip(boxes, domains, strict=True) if domain.holds(at)[0]]
+        boxes = held or [boxes[int(found.index[0])]]
+    low = np.min([box.centre - box.radius for box in boxes], axis=0)
+    high = np.max([box.centre + box.radius for box in boxes], axis=0)
+    return (
+        boxes[0]
+        if len(boxes) == 1
+        else ParameterBox(0.5 * (low + high), np.nextafter(0.5 * (high - low), np.inf) * (1.0 + 1e-15))
+    )
 
 
 def _differences(past: Sequence[int], nu: int, deepest: int, law: int) -> np.ndarray:

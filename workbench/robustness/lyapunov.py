@@ -15,6 +15,7 @@ The distance of the nodes is the lever: a cell is charged for all of its plants 
 cell with P equal at both ends.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -26,6 +27,7 @@ from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.margins import bordered, transposed
 from workbench.robustness.semidefinite import Block, maximise, symmetric
 
+TRIED = (0.11, 0.25, 0.68, 0.87)  # of a cell, where it is tried whether a loop is quadratic
 QUADRATIC = 1e-9  # by which a loop may differ from the quadratic through three of its values, relative to its size
 STEP = 1.1  # ratio of the bounds at which a search ends
 
@@ -47,12 +49,19 @@ class ScheduledLoop:
         return tuple(_hull(M[2 * cell : 2 * cell + 3]) for M in (self.A, self.columns))  # type: ignore[return-value]
 
 
-def scheduled_loop(at: Callable[[float], UncertainLoop], nodes: Sequence[float]) -> ScheduledLoop:
+def scheduled_loop(
+    at: Callable[[float], UncertainLoop], nodes: Sequence[float], kinks: Sequence[float] | np.ndarray = ()
+) -> ScheduledLoop:
     """The loops at(rho) between the nodes, in coordinates that suit the middle one.
 
-    Raises InputError where a loop is not quadratic in a cell, or z is another function of the state from one to the next.
+    kinks: schedule values at which the law's gain table or the model has a point of its own; each must be a node, for between
+    two nodes the loop has to be quadratic. That is the caller's word: here it is tried at some points, which proves nothing.
+    Raises InputError where a kink is no node, a loop is seen not to be quadratic, or z is another function of the state.
     """
     rho = np.unique(np.asarray(nodes, dtype=float))
+    for kink in kinks:
+        if rho[0] < kink < rho[-1] and np.abs(rho - kink).min() > QUADRATIC * np.ptp(rho):
+            raise InputError(f"the loop has a kink at {kink:g}, between two nodes", file="scheduled_loop", mend="make it a node")
     if len(rho) < 2:
         raise InputError(f"{len(rho)} nodes", file="scheduled_loop", mend="a schedule that moves has two or more")
     grid = np.sort(np.concatenate([rho, 0.5 * (rho[1:] + rho[:-1])]))
@@ -64,14 +73,15 @@ def scheduled_loop(at: Callable[[float], UncertainLoop], nodes: Sequence[float])
             raise InputError(f"z is another function of the state at {value:g}", file="scheduled_loop")
     found = ScheduledLoop(rho, A, columns, C)
     for cell, low in enumerate(rho[:-1]):
-        between = at(float(low + 0.25 * (rho[cell + 1] - low))).moved(own)
-        for hull, exact_value in zip(found.bernstein(cell), (between.A, between.columns), strict=True):
-            quadratic = (9.0 * hull[0] + 6.0 * hull[1] + hull[2]) / 16.0
+        for share, kind in itertools.product(TRIED, range(2)):
+            between = at(float(low + share * (rho[cell + 1] - low))).moved(own)
+            hull, exact_value = found.bernstein(cell)[kind], (between.A, between.columns)[kind]
+            quadratic = (1 - share) ** 2 * hull[0] + 2 * share * (1 - share) * hull[1] + share**2 * hull[2]
             if np.abs(quadratic - exact_value).max() > QUADRATIC * max(np.abs(exact_value).max(), 1e-300):
                 raise InputError(
                     f"the loop is not quadratic between {low:g} and {rho[cell + 1]:g}",
                     file="scheduled_loop",
-                    mend="put a node where a gain table or a mode has its own",
+                    mend="put a node where a gain table has one, and end the schedule where another mode begins",
                 )
     return found
 

@@ -8,7 +8,9 @@ circle. {sum_i delta_i g_i} is a zonogon, and 1 / kappa leaves it through one of
 
     kappa(omega) = max over d of |d . 1| / sum_i |d . g_i|,   d orthogonal to one of the g_i
 
-The smallest over omega is found on a grid and refined; `edges_hold` confirms it without a grid. The frozen margin says nothing of
+The smallest over omega is found on a grid and refined. A grid may miss it: where the zonogon is flat, as for one parameter, only
+single frequencies count, and beside a pole near the circle a valley is narrow. So the edges of the box decide (`lost_on_an_edge`)
+wherever they are few enough, and where they are not the margin is not called exact. The frozen margin says nothing of
 parameters that move: it is an upper bound of the arbitrary one, on examples by a factor from 1.07 to 5.
 
 Arbitrary, certified. x'P x decreases for every A(delta): P - A(delta)'P A(delta) is concave in A, so the corners of the box
@@ -24,6 +26,7 @@ All of a certificate is checked in outward-rounded arithmetic; a solver's status
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +40,7 @@ from workbench.robustness.semidefinite import Block, maximise, symmetric
 FREQUENCIES = 4000
 MOST_CORNERS = 12  # parameters up to which all corners of the box are looked at
 MOST_EDGES = 8
+EDGE = 1.0 - 1e-6  # of a frozen margin, at which no edge may be lost
 LENGTHS = tuple(range(1, 26))  # samples of a periodic sequence
 LONGEST = 200
 MOST = 1e6  # a margin beyond is none
@@ -51,7 +55,7 @@ ROUNDS = 30
 class FrozenMargin:
     """kappa, and the constant parameters (p, within 1) with which kappa A(delta) has a pole at exp(j omega) [rad / sample].
 
-    exact: no smaller kappa is lost; otherwise kappa is only an upper bound.
+    exact: confirmed on every edge of the box (in floating point); otherwise kappa is only an upper bound.
     """
 
     kappa: float
@@ -108,8 +112,12 @@ class Falsified:
 
 @record
 class Margin:
-    """certified.kappa <= the margin under parameters that move as they like <= falsified.kappa; and the frozen margin."""
+    """certified.kappa <= the margin under parameters that move as they like <= falsified.kappa; and the frozen margin.
 
+    loop: the balanced loop of whose numbers the certificate is proved, the loop that was asked about but for rounding.
+    """
+
+    loop: UncertainLoop
     certified: Certificate
     falsified: Falsified
     frozen: FrozenMargin
@@ -127,7 +135,7 @@ def margin(loop: UncertainLoop, seed: int = 0) -> Margin:
         raise InputError("no parameter is uncertain", file="UncertainLoop", mend="every margin is infinite: nothing to check")
     frozen = frozen_margin(own)
     worst = falsified(own, frozen, seed)
-    return Margin(certified(own, worst.kappa), worst, frozen)
+    return Margin(own, certified(own, worst.kappa), worst, frozen)
 
 
 def corners(p: int) -> np.ndarray:
@@ -154,7 +162,25 @@ def frozen_margin(loop: UncertainLoop) -> FrozenMargin:
         kappa = _sides(loop, near)[0]
         best, step = near[np.argsort(kappa)[:3]], step / 50.0
     (kappa,), (normal,) = _sides(loop, best[:1])
-    return FrozenMargin(float(kappa), _on_side(loop, float(best[0]), float(kappa), normal), float(best[0]), True)
+    found = FrozenMargin(float(kappa), _on_side(loop, float(best[0]), float(kappa), normal), float(best[0]), False)
+    return _by_edges(loop, found) if len(loop.lam) <= MOST_EDGES else found
+
+
+def _by_edges(loop: UncertainLoop, found: FrozenMargin) -> FrozenMargin:
+    """The frozen margin, lowered to where no edge of the box is lost any more."""
+    high = min(found.kappa, MOST)
+    if lost_on_an_edge(loop, EDGE * high) is None:
+        return replace(found, exact=True)
+    low, delta = 0.0, found.delta
+    while high - low > 1e-7 * high:
+        middle = 0.5 * (low + high) if low > 0.0 else 0.5 * high
+        lost = lost_on_an_edge(loop, middle)
+        low, high, delta = (middle, high, delta) if lost is None else (low, middle, lost)
+        if high < 1.0 / MOST:
+            break
+    poles = np.linalg.eigvals(loop.at(high * delta))
+    nearest = poles[np.abs(np.abs(poles) - 1.0).argmin()]
+    return FrozenMargin(high, delta, float(abs(np.angle(nearest))), True)
 
 
 def _gains(loop: UncertainLoop, omega: np.ndarray) -> np.ndarray:
@@ -200,11 +226,12 @@ def _constant(loop: UncertainLoop) -> FrozenMargin:
     return FrozenMargin(found.kappa, found.delta[0], float(abs(np.angle(poles[np.abs(poles).argmax()]))), False)
 
 
-def edges_hold(loop: UncertainLoop, kappa: float) -> bool:
-    """Whether no edge of kappa times the box has a pole on the unit circle: with a stable middle, no frozen loop is lost.
+def lost_on_an_edge(loop: UncertainLoop, kappa: float) -> np.ndarray | None:
+    """delta (p) on an edge of kappa times the box with a pole on the unit circle, or None: then none is lost.
 
     The characteristic polynomial is affine in delta for one regression, D(z) - kappa sum_i delta_i N_i(z), so the edge theorem
-    (Bartlett, Hollot, Huang 1988) holds. On an edge a + t b has a root of modulus 1 where a(z) b*(z) = b(z) a*(z) has one.
+    (Bartlett, Hollot, Huang 1988) holds. On an edge a + t b has a root of modulus 1 where a(z) b*(z) = b(z) a*(z) has one. In
+    floating point; what cannot be told counts as lost.
     """
     p = len(loop.lam)
     if loop.B.shape[1] > 1 or p > MOST_EDGES:
@@ -212,18 +239,25 @@ def edges_hold(loop: UncertainLoop, kappa: float) -> bool:
     D = np.poly(loop.A)
     N = np.array([np.poly(loop.A + np.outer(column, row)) - D for column, row in zip(loop.columns.T, loop.C, strict=True)])
     for i in range(p):
-        others = np.insert(corners(p - 1), i, 0.0, axis=1)
-        for delta in others:
+        for delta in np.insert(corners(p - 1), i, 0.0, axis=1):
             a, b = D + kappa * delta @ N, kappa * N[i]
+            if not np.abs(b).max() > 0.0:
+                if np.abs(np.roots(a)).max(initial=0.0) >= 1.0:
+                    return delta
+                continue
             crossing = np.polysub(np.polymul(a, b[::-1]), np.polymul(b, a[::-1]))
             z = np.roots(np.trim_zeros(np.where(np.abs(crossing) > 1e-14 * np.abs(crossing).max(), crossing, 0.0)))
             z = np.append(z[np.abs(np.abs(z) - 1.0) < 1e-4], [1.0, -1.0])
             z = z / np.abs(z)
+            above, below = np.polyval(a, z), np.polyval(b, z)
             with np.errstate(divide="ignore", invalid="ignore"):
-                t = -np.polyval(a, z) / np.polyval(b, z)
-            if np.any((np.abs(t.real) <= 1.0) & (np.abs(t.imag) <= 1e-6)):
-                return False
-    return True
+                t = -above / below
+            lost = (np.abs(t.real) <= 1.0) & (np.abs(t.imag) <= 1e-6)
+            lost |= (np.abs(above) <= 1e-12 * np.abs(a).sum()) & (np.abs(below) <= 1e-12 * np.abs(b).sum())
+            if lost.any():
+                first = float(np.nan_to_num(t[lost.argmax()].real))
+                return delta + first * np.eye(p)[i]
+    return None
 
 
 # ---- parameters that move: certified --------------------------------------------------------------------------------------

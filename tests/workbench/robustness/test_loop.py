@@ -8,6 +8,7 @@ import pytest
 
 from tests.workbench.robustness.loops import DT, law, machine_run, model, two_regressions
 from workbench.errors import InputError
+from workbench.intervals.model import Simulation
 from workbench.intervals.regressors import ARX, FIR
 from workbench.robustness.loop import UncertainLoop, close
 
@@ -111,3 +112,36 @@ def test_what_does_not_fit_is_refused():
         close(models, replace(one, Ki=100.0 * one.Ki)).balanced()
     with pytest.raises(InputError, match="channel must be"):
         UncertainLoop(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.ones(1), np.ones(1))
+
+
+def test_where_modes_overlap_the_box_holds_them_all():
+    """Each of the modes may be the machine there: every corner of both lies in the box that counts."""
+    structure = ARX(order=1, delta=False, bias=False)
+    wide = model("y2", ("u1",), structure, [[-0.5, 0.1], [-0.6, 0.2]], [[0.01, 0.02], [0.3, 0.01]], schedule="r")
+    other = model("y1", ("u2",), FIR(order=1), [0.1, 0.5], np.full(2, 0.01))
+    loop = close([wide, other], law(), 1.0)
+    at = [loop.parameters.index(name) for name in ("y2: -y2(k-1)", "y2: u1(k-1)")]
+    np.testing.assert_allclose(loop.lam[at], [0.3, 0.065])
+    (centre,) = close([model("y2", ("u1",), structure, [-0.6, 0.145], [0.3, 0.065]), other], law()).A[None]
+    np.testing.assert_allclose(loop.A, centre, atol=1e-12)
+    for rho, radius in ((0.5, [0.01, 0.02]), (1.5, [0.3, 0.01])):
+        np.testing.assert_allclose(close([wide, other], law(), rho).lam[at], radius)
+
+
+def test_what_would_leave_a_path_out_is_refused():
+    models, one = two_regressions()
+    fed = model("y1", ("u1", "y2"), ARX(order=1, delta=False, bias=False), [0.5, 0.1, 0.9], np.full(3, 0.01))
+    with pytest.raises(InputError, match="y2 as input, which is the output of another model"):
+        close([fed, models[1]], one)
+    with pytest.raises(InputError, match="commands u9, which moves no output"):
+        close(models, replace(one, actuated=("u1", "u9")))
+    with pytest.raises(InputError, match="two interval models of one output"):
+        close([*models, models[0]], one)
+    with pytest.raises(InputError, match="promises free runs"):
+        close([replace(models[0], semantics=Simulation()), models[1]], one)
+    moving = replace(one, schedule="r", span=(0.0, 1.0))
+    with pytest.raises(InputError, match="no value of r"):
+        close(models, moving)
+    scheduled = model("y1", ("u1",), ARX(order=1, delta=False, bias=False), [[0.5, 0.1]], np.full((1, 2), 0.01), schedule="speed")
+    with pytest.raises(InputError, match="scheduled on r, speed"):
+        close([scheduled, models[1]], moving, 0.5)

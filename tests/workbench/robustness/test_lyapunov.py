@@ -112,6 +112,9 @@ def test_odd_schedules_are_refused():
         scheduled_loop(turning, [0.5])
     with pytest.raises(InputError, match=r"not quadratic between 0 and 0\.5"):
         scheduled_loop(lambda rho: replace(scalar(0.0), A=np.array([[0.3 + 0.2 * abs(rho - 0.3)]])), [0.0, 0.5, 1.0])
+    with pytest.raises(InputError, match=r"kink at 0\.3, between two nodes"):
+        scheduled_loop(scalar, [0.0, 0.5, 1.0], kinks=[0.3])
+    scheduled_loop(scalar, [0.0, 0.3, 1.0], kinks=[0.3, 0.0, 1.0, 2.0])
     with pytest.raises(InputError, match="another function of the state"):
         scheduled_loop(lambda rho: replace(scalar(rho), C=np.array([[1.0 + rho]])), NODES)
     with pytest.raises(InputError, match="rate"):

@@ -9,7 +9,7 @@ import pytest
 from tests.workbench.robustness.loops import machine_run, two_regressions
 from workbench.errors import InputError
 from workbench.robustness.loop import UncertainLoop, close
-from workbench.robustness.margins import Certificate, _by_multipliers, corners, edges_hold, frozen_margin, margin
+from workbench.robustness.margins import Certificate, _by_multipliers, corners, frozen_margin, lost_on_an_edge, margin
 
 
 def drawn(seed, n=4, p=3, q=1) -> UncertainLoop:
@@ -64,8 +64,35 @@ def test_the_frozen_margin_is_exact(seed):
     axis = np.linspace(-1.0, 1.0, 21)
     grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     assert size(loop.at(0.999 * found.kappa * grid)).max() < 1.0
-    assert edges_hold(loop, 0.9999 * found.kappa)
-    assert not edges_hold(loop, 1.0001 * found.kappa)
+    assert lost_on_an_edge(loop, 0.9999 * found.kappa) is None
+    assert lost_on_an_edge(loop, 1.0001 * found.kappa) is not None
+
+
+def test_one_parameter_is_lost_at_single_frequencies():
+    """Its zonogon is a line, which a grid of frequencies sees at both ends only. z^2 - 0.3 z + 0.8 + 0.1 kappa delta."""
+    for lam in ([0.1], [1e-9, 0.1]):
+        C = np.array([[1.0, 0.0], [0.0, -1.0]])[-len(lam) :]
+        loop = UncertainLoop([[0.3, -0.8], [1.0, 0.0]], [[1.0], [0.0]], C, lam, [0] * len(lam))
+        found = frozen_margin(loop)
+        assert found.kappa == pytest.approx(2.0, rel=1e-5)
+        assert size(loop.at(found.kappa * found.delta)) == pytest.approx(1.0, abs=1e-6)
+    many = UncertainLoop([[0.3, -0.8], [1.0, 0.0]], [[1.0], [0.0]], np.tile([[0.0, -1.0]], (9, 1)), [0.1 / 9] * 9, [0] * 9)
+    assert not frozen_margin(many).exact  # too many edges to look at
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_valleys_beside_a_pole_near_the_circle(seed):
+    """No smaller constant parameters lose the loop: tried at random, below what is called exact."""
+    random = np.random.default_rng(seed)
+    angle, near = random.uniform(0.1, 3.0), 1.0 - 10.0 ** random.uniform(-7, -3)
+    turn = near * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    A = np.block([[turn, np.zeros((2, 1))], [np.zeros((1, 2)), np.array([[0.5]])]])
+    loop = UncertainLoop(A, random.normal(size=(3, 1)), random.normal(size=(2, 3)), random.uniform(0.01, 0.1, 2), [0, 0])
+    found = frozen_margin(loop)
+    assert found.exact
+    assert size(loop.at(found.kappa * found.delta)) == pytest.approx(1.0, abs=1e-6)
+    edge = np.concatenate([np.stack([np.linspace(-1, 1, 400), np.full(400, s)], -1) for s in (-1.0, 1.0)])
+    assert size(loop.at(0.999 * found.kappa * np.concatenate([edge, edge[:, ::-1]]))).max() < 1.0
 
 
 def test_a_narrow_resonance_is_not_missed():
