@@ -46,7 +46,7 @@ LONGEST = 200
 MOST = 1e6  # a margin beyond is none
 STARTS = 3  # random sequences of each length
 SWEEPS = 12
-CLOSE = 1.01  # ratio of bounds at which a search ends
+CLOSE, ROUGH = 1.01, 1.1  # ratios of bounds at which a search ends, and one that another goes on from
 ADDED = 2  # corners that enter the program in a round
 ROUNDS = 30
 
@@ -270,11 +270,10 @@ def certified(loop: UncertainLoop, beyond: float) -> Certificate:
         high, low = low, low / 2.0
         if low < 1e-6 * beyond:
             raise InputError("no certificate, not even of the middle of the boxes", file="UncertainLoop")
-    best = _search(loop, high, best, lambda kappa, _: _by_multipliers(loop, kappa))
-    for steps in (1, 2):
-        if steps * len(loop.lam) <= MOST_CORNERS:
-            best = _search(loop, beyond, best, _Corners(loop, steps))
-    return best
+    # a P that falls over one sample falls over two: the longest products that are few enough are all that is asked for
+    steps = next((steps for steps in (2, 1) if steps * len(loop.lam) <= MOST_CORNERS), 0)
+    best = _search(loop, high, best, lambda kappa, _: _by_multipliers(loop, kappa), ROUGH if steps else CLOSE)
+    return _search(loop, beyond, best, _Corners(loop, steps)) if steps else best
 
 
 def _held(found: Certificate | None, loop: UncertainLoop) -> Certificate | None:
@@ -283,10 +282,14 @@ def _held(found: Certificate | None, loop: UncertainLoop) -> Certificate | None:
 
 
 def _search(
-    loop: UncertainLoop, high: float, best: Certificate, attempt: Callable[[float, Certificate], Certificate | None]
+    loop: UncertainLoop,
+    high: float,
+    best: Certificate,
+    attempt: Callable[[float, Certificate], Certificate | None],
+    close: float = CLOSE,
 ) -> Certificate:
     """Bisection in the logarithm of kappa, from `best` up: what is not proved does not count."""
-    while high / best.kappa > CLOSE:
+    while high / best.kappa > close:
         kappa = float(np.sqrt(high * best.kappa))
         found = _held(attempt(kappa, best), loop)
         if found is None:
