@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from workbench.errors import InputError
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_no_feedthrough
 from workbench.records import field, record
 
 
@@ -67,12 +67,7 @@ def design_observer(model: LPVModel, *, at_inputs: bool | None = None, drift: fl
     """
     if model.predictor is None or model.noise is None:
         raise InputError("no predictor and no noise in this model", file=model.name, mend="identify it from records")
-    if np.any(model.D):
-        raise InputError(
-            "its outputs see the command of their own sample",
-            file=model.name,
-            mend="workbench identify --no-feedthrough: a held command cannot do that",
-        )
+    check_no_feedthrough(model)
     if not drift > 0.0:
         raise InputError(f"drift {drift:g}", mend="a disturbance that never moves is never found: give a number above 0")
     ny, nu = len(model.outputs), len(model.inputs)

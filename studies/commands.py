@@ -74,17 +74,16 @@ def simulate(options: Namespace) -> int:
         if chosen.count(name) > 1:
             raise InputError(f"experiment {name} is named twice", mend="name it once, or run again with another --seed")
     _check_setpoint(options)
+    other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
     if not chosen and not options.inputs_from and not options.setpoint:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
-        other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
         raise InputError("which experiment?", mend=f"give {known}{other}")
     own_law = load_controller(options.controller, lambda base: trusted_plant(base, machine)) if options.controller else None
     if own_law and options.inputs_from:
         mend = "a replay has no loop to close; --setpoint Y=V,.. runs the loop"
         raise InputError("--controller and --inputs-from exclude each other", mend=mend)
     if chosen and machine not in EXPERIMENTS:
-        other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
         raise InputError(f"plant {plant.name!r} has no experiment plan", mend=f"give {other}")
     held: Any = _held(options, found, own_law, effects, parameters, start) if options.setpoint else None
     folder = run_folder(options.out, "simulate")
@@ -154,7 +153,7 @@ def _check_setpoint(options: Namespace) -> None:
 
 def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, parameters, start) -> Any:
     """The controller holding its set-points: on a plant, or on an identified model once along its whole schedule."""
-    from studies.rehearsal import hold
+    from studies.rehearsal import check_setpoint, hold
     from workbench.lpv import load_model
     from workbench.simulate import Scenario
     from workbench.simulate import simulate as run_plant
@@ -166,10 +165,7 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
             raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
         record = hold(load_model(found.model), law, setpoint, samples, seed)
         return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
-    for name in setpoint:
-        check_known("output of the controller", name, law.measured)
-    if missing := [name for name in law.measured if name not in setpoint]:
-        raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
+    check_setpoint(law, setpoint)
     references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=True)}
     scenario = Scenario("setpoint", references, seed, start)
     return run_plant(found.plant, law, scenario, parameters=parameters, effects=effects, bumpless=True)

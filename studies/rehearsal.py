@@ -14,11 +14,10 @@ import numpy as np
 
 from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_no_feedthrough
 from workbench.records import field, record
 
 HOLD = (1.0, 4.0)  # s, shortest and longest stay at a set-point
-FEEDTHROUGH = "workbench identify --no-feedthrough: a held command cannot do that"
 NO_WORSE = 1.01  # ratio of costs up to which a calmer candidate is taken
 
 
@@ -40,8 +39,7 @@ class Rehearsal:
         model, point = self.model, self.model.operating_point
         _check_fits(law, model)
         at_y, at_u = _places(law, law.measured, model.outputs), _places(law, law.actuated, model.inputs)
-        if np.any(model.D):
-            raise InputError("its outputs see the command of their own sample", file=model.name, mend=FEEDTHROUGH)
+        check_no_feedthrough(model)
         weights, phi = model.weights(self.rho), point.basis(self.rho)
         u0, y0 = phi @ point.u, phi @ point.y
         K = model.predictor.K if model.predictor else np.zeros((len(model.terms), model.order, len(self.size)))
@@ -81,15 +79,18 @@ def _places(law: Any, names: Sequence[str], channels: Sequence[Channel]) -> list
     return [known.index(check_known(f"channel of {law.name}", name, known)) for name in names]
 
 
-def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int, seed: int | None) -> Experiment:
-    """A record of the law holding set-points on the model, once along its whole schedule; seed None: without noise."""
-    _check_fits(law, model)
-    known = [c.name for c in model.outputs]
+def check_setpoint(law: Any, setpoint: Mapping[str, float]) -> None:
+    """Refuse set-points of what the law does not measure, and outputs of it that have none."""
     for name in setpoint:
         check_known("output of the controller", name, law.measured)
     if missing := [name for name in law.measured if name not in setpoint]:
         raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
-    r = [setpoint.get(name, 0.0) for name in known]  # what the law does not measure has none
+
+
+def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int, seed: int | None) -> Experiment:
+    """A record of the law holding set-points on the model, once along its whole schedule; seed None: without noise."""
+    check_setpoint(law, setpoint)
+    r = [setpoint.get(c.name, 0.0) for c in model.outputs]  # what the law does not measure has none
     whole = rehearsal(model, r, np.zeros(len(r)), samples, seed or 0)
     whole = whole if seed is not None else replace(whole, e=np.zeros_like(whole.e))
     u, y = whole.run(law)

@@ -397,6 +397,13 @@ class LPVModel:
         write_json(path, self.to_dict())
 
 
+def check_no_feedthrough(model: LPVModel) -> None:
+    """Refuse a model whose outputs see the command of their own sample: a law commands after it has measured, and holds."""
+    if np.any(model.D):
+        mend = "workbench identify --no-feedthrough: a held command cannot do that"
+        raise InputError("its outputs see the command of their own sample", file=model.name, mend=mend)
+
+
 def load_model(path) -> LPVModel:
     """Read a model file written by `LPVModel.save`; what is missing or foreign is named."""
     content = read_json(path)

@@ -23,27 +23,16 @@ from workbench.errors import InputError
 from workbench.intervals.domains import nearest
 from workbench.intervals.model import IntervalModel, Simulation
 from workbench.intervals.semantics import ParameterBox
+from workbench.physics.controller import Loop
 from workbench.records import field, record
 
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
 FLOOR = 1e-6  # of the largest reachable variance: what a direction of the state counts that nothing reaches
 
 
-class LinearLaw(Protocol):
+class LinearLaw(Loop, Protocol):
     """A sampled law that is linear where the schedule stands still."""
 
-    @property
-    def name(self) -> str: ...
-    @property
-    def dt(self) -> float: ...
-    @property
-    def references(self) -> tuple[str, ...]: ...
-    @property
-    def measured(self) -> tuple[str, ...]: ...
-    @property
-    def actuated(self) -> tuple[str, ...]: ...
-    @property
-    def schedule(self) -> str | None: ...
     def at(self, rho: float | None) -> Any:
         """python-control system from (r, y) to u."""
         ...

@@ -24,7 +24,7 @@ from workbench.errors import InputError
 from workbench.intervals.arithmetic import exact, positive_definite
 from workbench.records import field, record
 from workbench.robustness.loop import UncertainLoop
-from workbench.robustness.margins import bordered, transposed
+from workbench.robustness.margins import falls
 from workbench.robustness.semidefinite import Block, maximise, symmetric
 
 TRIED = (0.11, 0.25, 0.68, 0.87)  # of a cell, where it is tried whether a loop is quadratic
@@ -109,11 +109,8 @@ class ScheduledCertificate:
             for pair, (now, then) in pairs(loop.nodes, cell, self.rate):
                 P, P_then = self._at(now), self._at(then)
                 for j in range(3):
-                    D, B = self.D[cell, pair, j], exact(columns[j]) * self.kappa
-                    PA, PB = P_then @ A[j], P_then @ B
-                    first = P - A[j].T @ PA - loop.C.T @ (exact(D)[:, None] * loop.C)
-                    block = bordered(first, -(A[j].T @ PB), np.diag(D) - transposed(B) @ PB)
-                    if not positive_definite(block):
+                    B = exact(columns[j]) * self.kappa
+                    if not falls(P, P_then, A[j], B, loop.C, self.D[cell, pair, j]):
                         return False
         return True
 

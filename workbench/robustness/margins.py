@@ -88,13 +88,10 @@ class Certificate:
             for _ in range(self.steps - 1):  # affine in the parameters of each step by itself, so that corners suffice
                 whole = A[:, None] @ whole
                 whole = Interval(whole.low.reshape(-1, *P.shape), whole.high.reshape(-1, *P.shape))
-            return bool(positive_definite(P - transposed(whole) @ (P @ whole)).all())
+            return bool(positive_definite(P - _transposed(whole) @ (P @ whole)).all())
         if self.D.shape != loop.lam.shape or not (self.D >= 0.0).all():
             return False
-        A, PB = exact(loop.A), P @ B
-        first = P - loop.A.T @ (P @ A) - loop.C.T @ (exact(self.D)[:, None] * loop.C)
-        beside = -(loop.A.T @ PB)
-        return bool(positive_definite(bordered(first, beside, np.diag(self.D) - transposed(B) @ PB)))
+        return falls(P, P, loop.A, B, loop.C, self.D)
 
 
 @record
@@ -361,11 +358,18 @@ class _Corners:
         return None
 
 
-def transposed(x: Interval) -> Interval:
+def falls(P: Interval, then: Interval, A: np.ndarray, B: Interval, C: np.ndarray, D: np.ndarray) -> bool:
+    """Whether [P - A'then A - C'D C, -A'then B; ., D - B'then B] > 0 is proved: the block of the module with P after the step."""
+    PA, PB = then @ A, then @ B
+    first = P - A.T @ PA - C.T @ (exact(D)[:, None] * C)
+    return bool(positive_definite(_bordered(first, -(A.T @ PB), np.diag(D) - _transposed(B) @ PB)))
+
+
+def _transposed(x: Interval) -> Interval:
     return Interval(x.low.swapaxes(-1, -2), x.high.swapaxes(-1, -2))
 
 
-def bordered(first: Interval, beside: Interval, last: Interval) -> Interval:
+def _bordered(first: Interval, beside: Interval, last: Interval) -> Interval:
     """[first, beside; beside', last]."""
 
     def whole(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
