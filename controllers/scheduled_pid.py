@@ -141,6 +141,10 @@ class ScheduledPID:
         weight = self.basis(np.clip(0.0 if rho is None else rho, *self.span))
         return Gains(*(np.tensordot(weight, getattr(self, key), 1) for key in Gains._fields))
 
+    def offset(self, rho: float | None = None) -> np.ndarray:
+        """u0 (nu,) at one schedule value."""
+        return self.gains_at(rho).u0
+
     def at(self, rho: float | None = None) -> "control.StateSpace":
         """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y."""
         import control  # takes a second to import, and only this needs it

@@ -282,7 +282,7 @@ class LPVModel:
         and is then cut off. Rows before that are predictions, not simulation; score only rows from `warmup` on.
         Default: the predictor's own memory; 0 starts from the operating point.
         """
-        u, y, weight = self._deviations(experiment)
+        u, y, weight = self.deviations(experiment)
         n = self.warmup if warmup is None else warmup
         x = self._predictor_states(u[:n], y[:n], weight[:n])
         out = np.empty((len(u), len(self.outputs)))
@@ -303,7 +303,7 @@ class LPVModel:
         steps = 1 uses the measured outputs up to k - 1. No prediction starts before the predictor's warm-up is over: the
         steps - 1 rows after it look ahead less far, and the rows within it are one-step predictions of a cold predictor.
         """
-        u, y, weight = self._deviations(experiment)
+        u, y, weight = self.deviations(experiment)
         states = self._predictor_states(u, y, weight)[:-1]
         N, first = len(u), self.warmup
         out = np.empty((N, len(self.outputs)))
@@ -322,7 +322,8 @@ class LPVModel:
                 x = np.einsum("kzx,kx->kz", A[at], x) + np.einsum("kzu,ku->kz", B[at], u[begin + at])
         return out + self._output_offset(experiment)
 
-    def _deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """u (N, nu) and y (N, ny) of a record without their operating point, and the weights (N, nt) of the terms."""
         if abs(experiment.dt - self.dt) > SAME_DT * self.dt:
             raise InputError(
                 f"sample time {experiment.dt:g} s, the model has {self.dt:g} s",

@@ -39,7 +39,15 @@ class Simulation:
     promise = "the free run from the inputs holds every measured value of the estimation records; nothing is said about one step"
 
 
-ALL_SEMANTICS: dict[str, type] = SEMANTICS | {Simulation.name: Simulation}
+@record
+class Unrefuted:
+    """Every constant parameter that explains the records within the bound is in the box (`errors`)."""
+
+    name = "unrefuted"
+    promise = "every constant parameter that explains all estimation records within the bound is in the box"
+
+
+ALL_SEMANTICS: dict[str, type] = SEMANTICS | {Simulation.name: Simulation, Unrefuted.name: Unrefuted}
 
 
 @record
@@ -174,7 +182,7 @@ class IntervalModel:
     output: Channel
     schedule: Channel | None
     structure: Structure
-    semantics: Semantics | Simulation
+    semantics: Semantics | Simulation | Unrefuted
     output_error: float = field("", low=0.0)
     input_error: np.ndarray = field("nu", low=0.0)
     unit_range: float = field("", low=0.0)
