@@ -1,19 +1,23 @@
-"""The loop of a linear law and interval models: everything that is uncertain enters through one scalar per regression.
+"""The loop of a linear law and models with bounded errors: everything that is uncertain enters through one scalar per output.
 
     x(k+1) = A x(k) + B w(k),   w_j(k) = sum_i delta_i(k) lam_i z_i(k),   z(k) = C x(k),   |delta_i(k)| <= 1
 
 The sum is over the parameters i of regression j, and w_j is its equation error: with the law in place the machine is
 A(delta) = A + B S diag(lam delta) C, S (q p) with a 1 where parameter i belongs to regression j. delta = 0 is the middle of the
-boxes. Set-points, biases and input errors drive the loop but do not turn its poles: they are left out here.
+boxes. Set-points, biases and operating points drive the loop but do not turn its poles: `close` leaves them out, `course` follows
+them along a run.
 
-    y_j(k) = row_j'psi_j(k) + w_j(k),   z of regression j = T_j psi_j(k)                  (`intervals.regressors`)
-    u(k)   = law of y(k), ..                                                               (`at` of the law)
+    interval models        y_j(k) = row_j'psi_j(k) + w_j(k),   z of regression j = T_j psi_j(k)       (`intervals.regressors`)
+    LPV model and errors   x+ = F x + G u + K y,  y = C x + e,  e_j = centre'z_j + w_j                  (`intervals.errors`)
+    the law                u(k) of r(k), y(k)                                                           (its `at`)
 
-The state holds past outputs and inputs, the newest and the changes between neighbours, and the memory of the law. Some of it
-may be superfluous (past inputs that a law remembers too); `balanced` makes the numbers fit for a solver all the same.
+The state holds the state of the model, past outputs and inputs, the newest and the changes between neighbours, and the memory
+of the law. Some of it may be superfluous (past inputs that a law remembers too); `balanced` makes the numbers fit for a solver
+all the same.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,10 +25,13 @@ import numpy as np
 from workbench.data import SAME_DT
 from workbench.errors import InputError
 from workbench.intervals.domains import nearest
+from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Simulation
 from workbench.intervals.semantics import ParameterBox
+from workbench.lpv import LPVModel, check_no_feedthrough
 from workbench.physics.controller import Loop
 from workbench.records import field, record
+from workbench.robustness.envelopes import Course
 
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
 FLOOR = 1e-6  # of the largest reachable variance: what a direction of the state counts that nothing reaches
@@ -34,7 +41,11 @@ class LinearLaw(Loop, Protocol):
     """A sampled law that is linear where the schedule stands still."""
 
     def at(self, rho: float | None) -> Any:
-        """python-control system from (r, y) to u."""
+        """python-control system from (r, y) to u less its offset; its state keeps its meaning while the schedule moves."""
+        ...
+
+    def offset(self, rho: float | None) -> np.ndarray:
+        """What `at` leaves out of the command, (nu,)."""
         ...
 
 
@@ -102,53 +113,251 @@ class UncertainLoop:
         return np.linalg.cholesky(0.5 * (P + P.T)).T / size
 
 
+@record
+class Machine:
+    """What a law is closed around: s+ = A s + Bu u + By y + a,  y = C s + c + w,  z = T s + t, at one schedule value.
+
+    One w for each output; parameters (p), radii lam (p), channel (p): the output whose w a parameter acts through.
+    """
+
+    A: np.ndarray = field("n n")
+    Bu: np.ndarray = field("n nu")
+    By: np.ndarray = field("n ny")
+    a: np.ndarray = field("n")
+    C: np.ndarray = field("ny n")
+    c: np.ndarray = field("ny")
+    T: np.ndarray = field("p n")
+    t: np.ndarray = field("p")
+    lam: np.ndarray = field("p", low=0.0)
+    channel: np.ndarray = field("p", low=0.0)
+    rest: np.ndarray = field("nu")  # an input that nobody commands stays here
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    dt: float = field("", unit="s")
+
+
+@record
+class DrivenLoop:
+    """x+ = A x + G d + B w,  v = E x + H d + F w,  z = C x + J d;  d = (r, 1), v the outputs and the commands (`signals`)."""
+
+    A: np.ndarray = field("n n")
+    G: np.ndarray = field("n nd")
+    B: np.ndarray = field("n q")
+    E: np.ndarray = field("s n")
+    H: np.ndarray = field("s nd")
+    F: np.ndarray = field("s q")
+    C: np.ndarray = field("p n")
+    J: np.ndarray = field("p nd")
+    lam: np.ndarray = field("p", low=0.0)
+    channel: np.ndarray = field("p", low=0.0)
+    parameters: tuple[str, ...]
+    signals: tuple[str, ...]
+    dt: float = field("", unit="s")
+
+    def quiet(self) -> "DrivenLoop":
+        """Without the errors that no parameter explains: nothing but the parameters of regressors that move is uncertain."""
+        moving = np.abs(self.C).max(axis=1, initial=0.0) > 0.0
+        return replace(self, lam=np.where(moving, self.lam, 0.0))
+
+    def undriven(self) -> UncertainLoop:
+        """Without what drives it, and without the parameters of regressors that do not move."""
+        moving = np.abs(self.C).max(axis=1, initial=0.0) > 0.0
+        names = tuple(name for name, moves in zip(self.parameters, moving, strict=True) if moves)
+        return UncertainLoop(self.A, self.B, self.C[moving], self.lam[moving], self.channel[moving], names, self.dt)
+
+
 def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = None) -> UncertainLoop:
     """The loop of `law` with one interval model for each output that it measures, frozen at a schedule value.
 
     Raises InputError where names or sample times do not fit, where no mode is known at rho, and for inputs that act at once.
     """
+    return driven(machine_of(models, law, rho), law, rho).undriven()
+
+
+def driven(machine: Machine, law: LinearLaw, rho: float | None = None) -> DrivenLoop:
+    """The machine under the law at one schedule value."""
+    system = law.at(rho)
+    Ac, Bc, Cc, Dc = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
+    nr, nc = len(law.references), len(Ac)
+    y = [machine.outputs.index(name) for name in law.measured]
+    u = [machine.inputs.index(name) for name in law.actuated]
+    n, ny = machine.By.shape
+    left = [i for i in range(len(machine.inputs)) if i not in u]
+    # every signal is a row over (s, law, r, 1, w)
+    s, memory = np.eye(n, n + nc + nr + 1 + ny), np.eye(nc, n + nc + nr + 1 + ny, k=n)
+    r, one = np.eye(nr, n + nc + nr + 1 + ny, k=n + nc), np.eye(1, n + nc + nr + 1 + ny, k=n + nc + nr)
+    outputs = machine.C @ s + np.outer(machine.c, one) + np.eye(ny, n + nc + nr + 1 + ny, k=n + nc + nr + 1)
+    seen = np.vstack([r, outputs[y]])
+    commands = Cc @ memory + Dc @ seen + np.outer(law.offset(rho), one)
+    held = np.outer(machine.a + machine.Bu[:, left] @ machine.rest[left], one)
+    after = machine.A @ s + machine.Bu[:, u] @ commands + machine.By @ outputs + held
+    x, watched = np.vstack([after, Ac @ memory + Bc @ seen]), np.vstack([outputs[y], commands])
+    z = machine.T @ s + np.outer(machine.t, one)
+    cut = np.cumsum([n + nc, nr + 1])
+    (A, G, B), (E, H, F), (C, J, _) = (np.split(rows, cut, axis=1) for rows in (x, watched, z))
+    signals = (*law.measured, *law.actuated)
+    return DrivenLoop(A, G, B, E, H, F, C, J, machine.lam, machine.channel, machine.parameters, signals, law.dt)
+
+
+def course(loops: Sequence[DrivenLoop], references: np.ndarray) -> Course:
+    """The loop along set-points (N, nr), from the rest at the first ones; one loop for all samples, or one for each.
+
+    Raises InputError where the middle of the boxes has no rest there.
+    """
+    N, first = len(references), loops[0]
+    if len(loops) not in (1, N):
+        raise InputError(f"{len(loops)} loops for {N} samples", file="course", mend="one, or one for each sample")
+    d = np.column_stack([references, np.ones(N)])
+    mode = np.arange(N) if len(loops) == N else np.zeros(N)
+
+    def along(key: str) -> np.ndarray:
+        return np.stack([getattr(loop, key) for loop in loops])
+
+    def driving(key: str) -> np.ndarray:
+        return np.einsum("kij,kj->ki", np.broadcast_to(along(key), (N, *getattr(first, key).shape)), d)
+
+    q = driving("G")
+    if not np.abs(np.linalg.eigvals(first.A)).max(initial=0.0) < 1.0:
+        problem = "the middle of the boxes does not come to rest"
+        raise InputError(problem, file="course", mend="another controller, or another model")
+    return Course(
+        A=along("A"), B=along("B"), C=along("C"), E=along("E"), F=along("F"), lam=along("lam"), channel=first.channel, mode=mode,
+        q=q, g=driving("H"), f=driving("J"), start=np.linalg.solve(np.eye(len(first.A)) - first.A, q[0]), signals=first.signals,
+    )  # fmt: skip
+
+
+def machine_of(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = None) -> Machine:
+    """The machine that interval models of the outputs that `law` measures describe at a schedule value."""
     models = _in_order(models, law)
     _check_schedule(models, law, rho)
-    system = law.at(rho)
-    nr, ny, nu = len(law.references), len(law.measured), len(law.actuated)
-    Ac, Bc, Cc, Dc = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
-    Bc, Dc = Bc[:, nr:], Dc[:, nr:]
-    deepest = max(int(model.form.lags[model.form.source > 0].max(initial=0.0)) for model in models)
-    past = [int((model.form.source == 0).sum()) for model in models]
-    starts = np.concatenate([[0], np.cumsum(past)])  # of the past outputs; then the inputs, lag by lag; then the law
-    inputs, memory = int(starts[-1]), int(starts[-1]) + nu * deepest
-    n = memory + len(Ac)
-    Y, C, lam, channel, names = np.zeros((ny, n)), [], [], [], []
+    memory = _Memory([int((m.form.source == 0).sum()) for m in models], len(law.actuated), _deepest(models))
+    Y, c, T, t, lam, channel, names = [], [], [], [], [], [], []
     for j, model in enumerate(models):
         form, box = model.form, _box_at(model, rho)
-        psi = np.zeros((len(form.source), n))
+        psi, one = np.zeros((len(form.source), memory.size)), np.zeros(len(form.source))
         for entry, (source, lag) in enumerate(zip(form.source.astype(int), form.lags.astype(int), strict=True)):
+            name = model.inputs[source - 1].name if source > 0 else ""
             if source == 0:
-                psi[entry, starts[j] + lag - 1] = 1.0
-            elif source > 0 and (at := _actuator(model, source, law)) is not None:
-                psi[entry, inputs + nu * (lag - 1) + at] = 1.0
-        Y[j] = (form.d + form.T.T @ box.centre) @ psi
-        z = form.T @ psi
-        moving = np.abs(z).max(axis=1) > 0.0
-        C.append(z[moving])
-        lam.append(box.radius[moving])
-        channel.append(np.full(int(moving.sum()), j))
-        names += [f"{model.output.name}: {form.names[i]}" for i in np.flatnonzero(moving)]
-    U = Dc @ Y
-    U[:, memory:] += Cc
-    A, B = np.zeros((n, n)), np.zeros((n, ny))
-    for j, count in enumerate(past):
-        if count:
-            A[starts[j]], B[starts[j], j] = Y[j], 1.0
-            A[np.arange(1, count) + starts[j], np.arange(count - 1) + starts[j]] = 1.0
-    if deepest:
-        A[inputs : inputs + nu], B[inputs : inputs + nu] = U, Dc
-        A[inputs + nu : memory, inputs : memory - nu] = np.eye(memory - inputs - nu)
-    A[memory:] = Bc @ Y
-    A[memory:, memory:] += Ac
-    B[memory:] = Bc
-    loop = UncertainLoop(A, B, np.vstack(C), np.concatenate(lam), np.concatenate(channel), tuple(names), law.dt)
-    return loop.moved(_differences(past, nu, deepest, len(Ac)))
+                psi[entry] = memory.output(j, lag)
+            elif name in law.actuated:  # one from outside does not move
+                psi[entry] = memory.input(law.actuated.index(name), lag)
+            one[entry] = float(source < 0)
+        row = form.d + form.T.T @ box.centre
+        Y, c = [*Y, row @ psi], [*c, row @ one]
+        T, t, lam = [*T, form.T @ psi], [*t, form.T @ one], [*lam, box.radius]
+        channel.append(np.full(len(box.radius), j))
+        names += [f"{model.output.name}: {name}" for name in form.names]
+    A, By, Bu = memory.shift()
+    nu = len(law.actuated)
+    return Machine(
+        A, Bu, By, np.zeros(memory.size), np.array(Y), np.array(c), np.vstack(T), np.concatenate(t), np.concatenate(lam),
+        np.concatenate(channel), np.zeros(nu), tuple(law.measured), tuple(law.actuated), tuple(names), law.dt,
+    )  # fmt: skip
+
+
+def machine_with_errors(model: LPVModel, errors: Sequence[IntervalModel], rho: float | None = None) -> Machine:
+    """The LPV model at a schedule value with the interval models of its one-step errors, one for each output.
+
+    Raises InputError where they do not belong together, and for a model whose inputs act at once.
+    """
+    weight = model.weights(np.array([_within(model, rho)]))[0]
+    return _with_errors(model, errors, weight, _within(model, rho))
+
+
+def machines_along(model: LPVModel, errors: Sequence[IntervalModel], rho: np.ndarray) -> Iterator[Machine]:
+    """The machine at every sample of a schedule rho (N); where it leaves what the model has seen the edge holds."""
+    inside = np.clip(rho, *model.span)
+    for value, weight in zip(inside, model.weights(inside), strict=True):
+        yield _with_errors(model, errors, weight, float(value))
+
+
+def _within(model: LPVModel, rho: float | None) -> float:
+    """The schedule value as the model takes it. Raises InputError outside of what it has seen."""
+    model.freeze(rho)
+    return 0.0 if model.schedule is None or rho is None else float(np.clip(rho, *model.span))
+
+
+def _with_errors(model: LPVModel, errors: Sequence[IntervalModel], weight: np.ndarray, rho: float) -> Machine:
+    """The same with the weights (nt) of the terms at a sample."""
+    check_no_feedthrough(model)
+    known = {e.output.name: e for e in errors}
+    wanted, sources = [ERROR_OF + c.name for c in model.outputs], [c.name for c in (*model.outputs, *model.inputs)]
+    if model.predictor is None or sorted(known) != sorted(wanted) or len(errors) != len(wanted):
+        problem = f"interval models of {', '.join(known) or 'nothing'}"
+        raise InputError(problem, file=model.name, mend=f"errors of this model: {', '.join(wanted)}")
+    F, G, K, C = (np.tensordot(weight, M, 1) for M in (model.predictor.F, model.predictor.G, model.predictor.K, model.C))
+    phi = model.operating_point.basis(np.array([rho]))[0]
+    y0, u0 = phi @ model.operating_point.y, phi @ model.operating_point.u
+    ny, nu, n = len(model.outputs), len(model.inputs), model.order
+    lags = max(int(e.form.lags.max()) for e in errors)
+    memory = _Memory([lags] * ny, nu, lags)
+    T, t, lam, channel, names = [], [], [], [], []
+    through = np.zeros((ny, memory.size))  # of the middle of the boxes
+    for j, name in enumerate(wanted):
+        own = known[name]
+        if [c.name for c in own.inputs] != sources or len(own.modes) != 1:
+            raise InputError(f"{own.output.name} depends on other channels", file=own.name, mend="identify it on this model")
+        form, box = own.form, own.modes[0].box
+        psi, one = np.zeros((len(form.source), memory.size)), (form.source < 0).astype(float)
+        for entry, (source, lag) in enumerate(zip(form.source.astype(int), form.lags.astype(int), strict=True)):
+            if source > 0:
+                psi[entry] = memory.output(source - 1, lag) if source <= ny else memory.input(source - 1 - ny, lag)
+        through[j] = box.centre @ form.T @ psi
+        T, t, lam = [*T, form.T @ psi], [*t, form.T @ one], [*lam, box.radius]
+        channel.append(np.full(len(box.radius), j))
+        names += [f"{name}: {entry}" for entry in form.names]
+    A, By, Bu = memory.shift()
+    whole = np.zeros((n + memory.size, n + memory.size))
+    whole[:n, :n], whole[n:, n:] = F, A
+    T = np.vstack(T)
+    return Machine(
+        whole, np.vstack([G, Bu]), np.vstack([K, By]), -np.concatenate([G @ u0 + K @ y0, Bu @ u0 + By @ y0]),
+        np.hstack([C, through]), y0, np.hstack([np.zeros((len(T), n)), T]), np.concatenate(t), np.concatenate(lam),
+        np.concatenate(channel), u0, tuple(c.name for c in model.outputs), tuple(c.name for c in model.inputs), tuple(names),
+        model.dt,
+    )  # fmt: skip
+
+
+class _Memory:
+    """past[j] past values of output j and `deepest` of nu inputs: the newest and the changes between neighbours."""
+
+    def __init__(self, past: Sequence[int], nu: int, deepest: int):
+        from scipy.linalg import block_diag
+
+        self.past, self.nu, self.deepest = list(past), nu, deepest
+        self.starts = np.concatenate([[0], np.cumsum(past)]).astype(int)
+        self.size = int(self.starts[-1]) + nu * deepest
+        own = [_changes(count) for count in past if count]
+        into = [*own, *([np.kron(_changes(deepest), np.eye(nu))] if deepest else [])]
+        self.into = np.asarray(block_diag(*into)) if into else np.zeros((0, 0))
+        self.back = np.linalg.inv(self.into)
+
+    def output(self, j: int, lag: int) -> np.ndarray:
+        """y_j(k - lag) as a row over the state."""
+        return self.back[self.starts[j] + lag - 1]
+
+    def input(self, i: int, lag: int) -> np.ndarray:
+        """u_i(k - lag) as a row over the state."""
+        return self.back[int(self.starts[-1]) + self.nu * (lag - 1) + i]
+
+    def shift(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, By, Bu of the state: y(k) and u(k) come in, all else moves one place on."""
+        A, By, Bu = np.zeros((self.size, self.size)), np.zeros((self.size, len(self.past))), np.zeros((self.size, self.nu))
+        for j, count in enumerate(self.past):
+            if count:
+                at = self.starts[j]
+                By[at, j] = 1.0
+                A[np.arange(1, count) + at, np.arange(count - 1) + at] = 1.0
+        inputs = int(self.starts[-1])
+        if self.deepest:
+            Bu[inputs : inputs + self.nu] = np.eye(self.nu)
+            A[inputs + self.nu :, inputs : self.size - self.nu] = np.eye(self.size - inputs - self.nu)
+        return self.into @ A @ self.back, self.into @ By, self.into @ Bu
+
+
+def _deepest(models: Sequence[IntervalModel]) -> int:
+    return max(int(model.form.lags[model.form.source > 0].max(initial=0.0)) for model in models)
 
 
 def _in_order(models: Sequence[IntervalModel], law: LinearLaw) -> list[IntervalModel]:
@@ -196,12 +405,6 @@ def _in_order(models: Sequence[IntervalModel], law: LinearLaw) -> list[IntervalM
     return [known[name] for name in law.measured]
 
 
-def _actuator(model: IntervalModel, source: int, law: LinearLaw) -> int | None:
-    """Which command of the law an input of the model is; None for an input from outside."""
-    name = model.inputs[source - 1].name
-    return law.actuated.index(name) if name in law.actuated else None
-
-
 def _check_schedule(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None) -> None:
     """Refuse a schedule value that is missing, or that means one thing to the law and another to a model."""
     known = {model.schedule.name for model in models if model.schedule} | ({law.schedule} if law.schedule else set())
@@ -238,14 +441,6 @@ def _box_at(model: IntervalModel, rho: float | None) -> ParameterBox:
         if len(boxes) == 1
         else ParameterBox(0.5 * (low + high), np.nextafter(0.5 * (high - low), np.inf) * (1.0 + 1e-15))
     )
-
-
-def _differences(past: Sequence[int], nu: int, deepest: int, law: int) -> np.ndarray:
-    """Past outputs and inputs into the newest value and the changes between neighbours."""
-    from scipy.linalg import block_diag
-
-    own = [_changes(count) for count in past if count]
-    return np.asarray(block_diag(*own, *([np.kron(_changes(deepest), np.eye(nu))] if deepest else []), np.eye(law)))
 
 
 def _changes(count: int) -> np.ndarray:

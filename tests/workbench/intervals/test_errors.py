@@ -1,5 +1,6 @@
 """What records leave open of a model's one-step error: exact boxes, the truth inside, smaller with every record."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -69,7 +70,7 @@ def test_the_truth_is_in_the_box_and_the_box_is_that_of_another_solver(seed):
 
 def test_a_further_record_only_takes_away():
     boxes = [open_box(regression(Dataset(tuple(drawn(seed) for seed in range(count)))), BOUND) for count in (1, 2, 4)]
-    for wide, narrow in zip(boxes, boxes[1:], strict=False):
+    for wide, narrow in itertools.pairwise(boxes):
         assert np.all(narrow.centre - narrow.radius >= wide.centre - wide.radius - 1e-9)
         assert np.all(narrow.centre + narrow.radius <= wide.centre + wide.radius + 1e-9)
     assert np.all(boxes[2].radius[:2] < boxes[0].radius[:2])
@@ -77,13 +78,13 @@ def test_a_further_record_only_takes_away():
 
 def test_a_bound_that_no_parameter_keeps_is_refused():
     S = regression(Dataset((drawn(1),)))
-    with pytest.raises(InputError, match="no error model keeps the bound 0.1"):
+    with pytest.raises(InputError, match=r"no error model keeps the bound 0\.1"):
         open_box(S, 0.1)
     with pytest.raises(InputError, match="bound 0"):
         open_box(S, 0.0)
 
 
-# ---- on a model -----------------------------------------------------------------------------------------------------------------
+# ---- on a model ----------------------------------------------------------------------------------------------------
 
 
 def measured(seed, gain=1.0, N=600):
