@@ -16,7 +16,12 @@ KINDS: dict[str, Any] = {scheduled_pid.KIND: scheduled_pid.ScheduledPID, mpc.KIN
 
 def save_controller(controller: Any, path: str | Path) -> Path:
     """Write a controller of a listed kind."""
-    return write_json(path, {"schema": SCHEMA, "version": VERSION} | controller.to_dict())
+    return write_json(path, controller_content(controller))
+
+
+def controller_content(controller: Any) -> dict[str, Any]:
+    """What the file of a controller of a listed kind holds."""
+    return {"schema": SCHEMA, "version": VERSION} | controller.to_dict()
 
 
 def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None = None) -> Any:
@@ -24,7 +29,11 @@ def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None 
 
     find_plant: gives the plant that a nonlinear MPC predicts with, from what its file calls it. Only such a file needs it.
     """
-    content = read_json(path)
+    return controller_of(read_json(path), path, find_plant)
+
+
+def controller_of(content: Any, path: str | Path, find_plant: Callable[[str], Plant] | None = None) -> Any:
+    """The controller that the content of a file makes; path: the file that holds it, for messages."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError(
             "not a controller", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}, as workbench design writes it"

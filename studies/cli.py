@@ -82,12 +82,13 @@ def parser() -> argparse.ArgumentParser:
         "examples:\n  workbench simulate web-winding --experiment prbs1 --seed 3\n"
         "  workbench simulate web-winding --experiment prbs1 --effect coulomb@unwind:level=0.002\n"
         "  workbench simulate my_plant.py:PLANT --inputs-from record.csv\n"
-        "  workbench simulate ssm.json --controller scheduled-pid.json --setpoint w3=100,theta=0",
+        "  workbench simulate ssm.json --controller scheduled-pid.json --setpoint w3=100,theta=0\n"
+        "  workbench simulate --replay counterexample.json",
     )
-    sub.add_argument("plant", metavar="PLANT", help=PLANT_HELP)
+    sub.add_argument("plant", metavar="PLANT", nargs="?", help=f"{PLANT_HELP}; with --replay only one of your own")
     sub.add_argument("--experiment", nargs="+", metavar="NAME", default=[], help="experiments of the machine's plan")
     sub.add_argument("--inputs-from", nargs="+", metavar="FILE", default=[], help="replay the inputs of measured records")
-    sub.add_argument("--seed", type=_seed, default=0, help="seed of noise, disturbances and random set-points (default 0)")
+    sub.add_argument("--seed", type=_seed, help="seed of noise, disturbances and random set-points (default 0)")
     sub.add_argument("--quiet", action="store_true", help="no noise and no disturbance")
     sub.add_argument("--effect", action="append", default=[], metavar="ID@PLACE:P=V", help="switch missing physics on")
     sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
@@ -95,6 +96,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--controller", metavar="FILE", help="close the loop with a controller written by design")
     sub.add_argument("--setpoint", action="append", default=[], metavar="Y=V,..", help="with --controller: hold these outputs")
     sub.add_argument("--duration", type=_seconds, metavar="S", help="with --setpoint: seconds (default 60)")
+    sub.add_argument("--replay", metavar="FILE", help="run a stored counterexample again: plant, controller and all are in it")
 
     sub = command(
         "identify",

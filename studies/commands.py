@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from plants import PLANTS
 from studies.arguments import Chosen, check_file, choose_plant, names, parse_effects, parse_numbers, run_folder, trusted_plant
 from studies.results import Result, scores_file
 from workbench.data import Dataset, Experiment, check_held_out
@@ -63,6 +64,14 @@ def simulate(options: Namespace) -> int:
     from workbench.simulate import replay
     from workbench.simulate import simulate as run_plant
 
+    if options.replay:
+        from studies.replays import run as run_replay
+
+        return run_replay(options, say)
+    if options.plant is None:
+        raise InputError("which plant?", mend=f"name one: {', '.join(PLANTS)}, or a file of your own")
+    if options.seed is None:
+        options.seed = 0
     found = choose_plant(options.plant)
     plant, machine = found.plant, found.base
     effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)

@@ -8,7 +8,9 @@ from typing import Any
 
 from workbench.files import sha256
 
-PACKAGES = ("gain-scheduling-workbench", "numpy", "scipy", "control", "casadi", "numba", "cvxpy", "clarabel", "daqp", "highspy")
+PACKAGES = (
+    "gain-scheduling-workbench", "numpy", "scipy", "control", "casadi", "numba", "cvxpy", "clarabel", "daqp", "highspy", "cma",
+)  # fmt: skip
 
 
 def versions() -> dict[str, str]:

@@ -66,12 +66,14 @@ def simulate(
     effects: EffectSizes | None = None,
     substeps: int | None = None,
     bumpless: bool = False,
+    cut: bool = False,
 ) -> Run:
     """One closed-loop run of `plant` under `controller`; see the module.
 
     parameters: values that differ from the nominal ones. effects: missing physics that is switched on, e.g.
     {"coulomb@unwind": {"level": 0.002}}. substeps: integrator steps a sample; default: as many as the run needs.
-    bumpless: the controller takes over from the inputs of the start, else it begins as its `init` says.
+    bumpless: the controller takes over from the inputs of the start, else it begins as its `init` says. cut: a run that leaves
+    the range of the plant ends there; else it is refused with LeftRangeError, and so it is in any case with less than 2 samples.
     """
     lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects), bumpless)
     used = _substeps(plant, lanes, substeps)
@@ -81,8 +83,10 @@ def simulate(
     else:
         held = lanes.hold[0, [plant.input_names.index(name) for name in controller.actuated]]
         run, memories = stepper.run_stepwise(plant, controller, lanes, used, controller.init(held if bumpless else None))
-    _check_range(plant, scenario, run.states[0])
-    t = plant.dt * np.arange(len(scenario))
+    k = int(_first_outside(plant, run.states)[0])
+    if not cut or k < 2:
+        _check_range(plant, scenario, run.states[0], k)
+    t = plant.dt * np.arange(k)
     units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs}
     sources = dict(zip(controller.references, controller.measured, strict=False))
     logged = [] if isinstance(controller, Playback) else list(controller.references)
@@ -93,12 +97,13 @@ def simulate(
         *plant.outputs,
         *(Channel(name, units.get(sources.get(name, ""), ""), "reference") for name in logged),
     )
-    values = np.column_stack([run.commands[0][:, shown], run.measured[0], *(scenario.references[name] for name in logged)])
+    columns = [run.commands[0][:, shown], run.measured[0], *(scenario.references[name] for name in logged)]
+    values = np.column_stack([column[:k] for column in columns])
     return Run(
         Experiment(scenario.name, t, channels, values, plant.dt),
-        Experiment(f"{scenario.name} states", t, plant.states, run.states[0], plant.dt),
+        Experiment(f"{scenario.name} states", t, plant.states, run.states[0][:k], plant.dt),
         used,
-        tuple(memories),
+        tuple(memories[: -(-k // round(controller.dt / plant.dt))]),
     )
 
 
@@ -234,9 +239,8 @@ def _first_outside(plant: Plant, states: np.ndarray) -> np.ndarray:
     return np.where(bad.any(axis=1), bad.argmax(axis=1), states.shape[1])
 
 
-def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray) -> None:
-    """Refuse a run (N, nx) that left the range in which the plant's equation means something."""
-    k = int(_first_outside(plant, states[None])[0])
+def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray, k: int) -> None:
+    """Refuse a run (N, nx) that left the range in which the plant's equation means something at sample k < N."""
     if k == len(states):
         return
     for channel, value in zip(plant.states, states[k], strict=True):

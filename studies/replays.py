@@ -1,0 +1,75 @@
+"""`workbench simulate --replay`: a stored counterexample, run again on its plant and compared with what was found."""
+
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+
+from controllers.files import controller_of
+from plants import PLANTS
+from studies.arguments import Chosen, choose_plant, run_folder, trusted_plant
+from workbench.errors import InputError
+from workbench.files import write_json
+from workbench.provenance import provenance
+from workbench.readers import write_csv
+from workbench.robustness.falsify import SAME, Counterexample, load_counterexample
+
+Say = Callable[[str], None]
+
+OTHERS = ("experiment", "inputs_from", "seed", "quiet", "effect", "parameter", "start", "controller", "setpoint", "duration")
+
+
+def run(options: Namespace, say: Say) -> int:
+    """Replay, write the record and what was found; 0 where that is what the file says, else 1."""
+    for name in OTHERS:
+        if (given := getattr(options, name)) is not None and given is not False and given != []:
+            option = f"--{name.replace('_', '-')}"
+            raise InputError(f"{option} goes not with --replay", mend="leave it out: the file holds the whole run")
+    stored = load_counterexample(options.replay)
+    chosen = _plant(options, stored)
+    law = controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base))
+    try:
+        found = stored.replay(chosen.plant, law)
+    except InputError as reason:
+        raise InputError(reason.problem, file=options.replay, channel=reason.channel, mend=reason.mend) from None
+    folder = run_folder(options.out, "simulate")
+    done = found.run
+    path = folder / f"{done.experiment.name}.csv"
+    write_csv(done.experiment, path)
+    write_csv(done.states, folder / "states" / path.name)
+    say(f"{done.experiment.name}: {len(done.experiment)} samples at {done.experiment.dt:g} s -> {path}")
+    say(f"  {stored.sentence}")
+    unit = stored.limit.unit_of(stored.bound)
+    say(f"  excess: stored {stored.excess:.12g} {unit}, found now {found.excess:.12g} {unit}")
+    content = {
+        "record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": stored.effects,
+        "same": found.same, "limit": stored.limit.signal, "bound": stored.bound, "unit": unit, "sample": found.sample,
+        "stored": _number(stored.excess), "found": _number(found.excess),
+    }  # fmt: skip
+    configuration = {"plant": options.plant or stored.base, "replay": options.replay}
+    source = provenance(configuration, [options.replay, *chosen.files], stored.scenario.seed)
+    for target in (folder / "simulate.json", options.json):
+        if target:
+            write_json(target, {"runs": [content], "provenance": source})
+    if not found.same:
+        where = f" at sample {found.sample} instead of {stored.sample}" * (found.sample != stored.sample)
+        say(f"  not the same{where}: they differ by more than {SAME:g}; was the file, the plant or the program changed?")
+        return 1
+    say("  the same: the counterexample stands")
+    return 0
+
+
+def _plant(options: Namespace, stored: Counterexample) -> Chosen:
+    """The plant of the command line, else a machine of the workbench that the file names: a file never makes a program run."""
+    if options.plant is None and stored.base not in PLANTS:
+        mend = f"if you trust that plant, name it yourself: workbench simulate {stored.base} --replay {options.replay}"
+        raise InputError(f"is of {stored.base}, which is no machine of the workbench", file=options.replay, mend=mend)
+    chosen = choose_plant(options.plant or stored.base)
+    if chosen.plant.name != stored.plant:
+        mend = f"give {stored.base}" + " or leave it out" * (stored.base in PLANTS)
+        raise InputError(f"is of plant {stored.plant!r}, not {chosen.plant.name!r}", file=Path(options.replay), mend=mend)
+    return chosen
+
+
+def _number(value: float) -> float | None:
+    """JSON has no infinity."""
+    return value if abs(value) < float("inf") else None

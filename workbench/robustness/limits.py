@@ -1,0 +1,370 @@
+"""What a loop must keep: by how much a run breaks it, positive where it does, and the file in which a person writes it down.
+
+    low, high    max(low - y(k), y(k) - high)               in the unit of the signal
+    rate         max |y(k) - y(k-1)| / (t(k) - t(k-1)) - rate      in the unit per second
+    settling     max |y(k) - r(k)| - band                   `settling` seconds after the last change of the set-point r, and later
+
+Each from `begin` on. Bounds of different units are compared by their share, the excess over what the bound allows: the width
+between low and high where both are given, else the size of the bound; `rate`; `band`. A run that left the range in which its
+plant means something is NaN from there on and breaks every limit, by infinitely much.
+"""
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.errors import InputError, check_known
+from workbench.physics.controller import Loop
+from workbench.physics.plant import Plant
+from workbench.records import field, record
+from workbench.simulate import Scenario
+
+BOUNDS = ("low", "high", "rate", "settling")
+RANGE = "range"  # the bound that a run breaks which has left the range of its plant
+SAME_TIME = 1e-6  # of a sample, within which two times are one
+
+
+@record
+class Excess:
+    """By how much R runs break a limit. value (R): in the unit of the bound; share (R): in what the bound allows.
+
+    Positive: broken. sample (R): where; bound (R): which, an index of `BOUNDS`, -1 for a run that left the range. Of several
+    bounds that of the largest share.
+    """
+
+    value: np.ndarray
+    share: np.ndarray
+    sample: np.ndarray
+    bound: np.ndarray
+
+    def bound_of(self, run: int = 0) -> str:
+        """Name of the bound."""
+        return RANGE if self.bound[run] < 0 else BOUNDS[int(self.bound[run])]
+
+
+@record
+class Limit:
+    """What a signal, a measured output or a command by name, must keep from `begin` [s] on; see the module.
+
+    rate [unit/s] counts between samples of which both are from `begin` on, so that the step of a command at the first sample
+    does not. band and settling [s] belong together and need a set-point.
+    """
+
+    signal: str
+    low: float = field("", default=-np.inf)
+    high: float = field("", default=np.inf)
+    rate: float = field("", unit="unit/s", low=0.0, default=np.inf)
+    band: float = field("", low=0.0, default=np.inf)
+    settling: float = field("", unit="s", low=0.0, default=0.0)
+    begin: float = field("", unit="s", low=0.0, default=0.0)
+    unit: str = ""
+
+    def __post_init__(self):
+        if self.low > self.high:
+            raise InputError(f"low {self.low:g} is above high {self.high:g}", file=self.signal, mend="exchange them")
+        if not self.kept:
+            raise InputError("nothing to keep", file=self.signal, mend="give low, high, rate, or band and settling")
+        if not all(np.isfinite([self.begin, self.settling])):
+            raise InputError("a time that is not finite", file=self.signal, mend="give seconds")
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """The bounds that are there."""
+        there = (self.low > -np.inf, self.high < np.inf, self.rate < np.inf, self.band < np.inf)
+        return tuple(name for name, given in zip(BOUNDS, there, strict=True) if given)
+
+    @property
+    def scales(self) -> np.ndarray:
+        """What each of `BOUNDS` allows (4), in its own unit; 1 where that is 0, or there is no such bound."""
+        width = self.high - self.low
+        both = np.isfinite(width) and width > 0.0
+        allowed = np.abs([width if both else self.low, width if both else self.high, self.rate, self.band])
+        return np.where(np.isfinite(allowed) & (allowed > 0.0), allowed, 1.0)
+
+    def unit_of(self, bound: str) -> str:
+        """Unit of an excess."""
+        return f"{self.unit}/s" if bound == "rate" else self.unit
+
+    def excess(self, t: np.ndarray, values: np.ndarray, reference: np.ndarray | None = None) -> Excess:
+        """Of one run (N) or of R runs (R, N) side by side, at the times t (N) [s]; reference (N): the set-point of the signal."""
+        by_bound = self.by_bound(t, values, reference)
+        kept = [BOUNDS.index(name) for name in self.kept]
+        worst = np.argmax(np.stack([by_bound[i].share for i in kept]), axis=0)
+
+        def taken(name: str) -> np.ndarray:
+            return np.take_along_axis(np.stack([getattr(by_bound[i], name) for i in kept]), worst[None], axis=0)[0]
+
+        return Excess(taken("value"), taken("share"), taken("sample"), taken("bound"))
+
+    def by_bound(self, t: np.ndarray, values: np.ndarray, reference: np.ndarray | None = None) -> tuple[Excess, ...]:
+        """The excess over each of `BOUNDS` by itself; -inf where there is no such bound."""
+        t, y = np.asarray(t, dtype=float), np.atleast_2d(np.asarray(values, dtype=float))
+        if y.shape[1] != len(t):
+            raise InputError(f"{y.shape[1]} values at {len(t)} times", file=self.signal)
+        slack = SAME_TIME * (t[1] - t[0]) if len(t) > 1 else 0.0
+        since = t >= self.begin - slack
+        scales, lost = self.scales, np.isnan(y)
+        over = {"low": (self.low - y, since), "high": (y - self.high, since)}
+        if np.isfinite(self.rate):
+            steps = np.pad(np.abs(np.diff(y, axis=1)) / np.diff(t), ((0, 0), (1, 0)))
+            over["rate"] = steps - self.rate, since & np.concatenate([[False], since[:-1]])
+        if np.isfinite(self.band):
+            if reference is None:
+                raise InputError("no set-point to settle at", file=self.signal, mend="leave band and settling out")
+            moved = np.flatnonzero(np.diff(reference))
+            arrived = (t[moved[-1] + 1] if len(moved) else t[0]) + self.settling
+            over["settling"] = np.abs(y - reference) - self.band, since & (t >= arrived - slack)
+        found = []
+        for i, name in enumerate(BOUNDS):
+            given = name in self.kept
+            excess, counted = over.get(name, (np.full_like(y, -np.inf), since))
+            excess = np.where(counted & given & ~lost, excess, -np.inf)
+            sample = np.argmax(excess, axis=1)
+            value = np.take_along_axis(excess, sample[:, None], axis=1)[:, 0]
+            bound = np.full(len(y), i)
+            if given:
+                out = lost.any(axis=1)
+                sample = np.where(out, np.argmax(lost, axis=1), sample)
+                value, bound = np.where(out, np.inf, value), np.where(out, -1, bound)
+            found.append(Excess(value, value / scales[i], sample, bound))
+        return tuple(found)
+
+
+@record
+class Course:
+    """A run that limits are kept through: duration [s], set-points by output, each (time [s], value) from time 0 on.
+
+    start: values that replace those of the plant's equilibrium; seed: of noise and disturbance as in the plant, None for none.
+    """
+
+    duration: float = field("", unit="s", low=1e-9, high=1e9)
+    setpoints: Mapping[str, tuple[tuple[float, float], ...]]
+    start: Mapping[str, float] = field(default_factory=dict)
+    seed: int | None = None
+
+    def scenario(self, plant: Plant, controller: Loop, name: str = "limits") -> Scenario:
+        """The run of a plant under a controller, whose outputs must all have a set-point, and no others."""
+        source = dict(zip(controller.references, controller.measured, strict=False))
+        for output in self.setpoints:
+            check_known("output of the controller", output, source.values(), file=name)
+        for start in self.start:
+            check_known("state or input", start, (*plant.state_names, *plant.input_names), file=name)
+        if missing := [output for output in source.values() if output not in self.setpoints]:
+            raise InputError(f"no set-point for {', '.join(missing)}", file=name, mend="give one in [run.setpoints]")
+        t = plant.dt * np.arange(round(self.duration / plant.dt))
+        if len(t) < 2:
+            raise InputError(f"duration {self.duration:g} s", file=name, mend=f"at least two samples of {plant.dt:g} s")
+        references = {}
+        for reference, output in source.items():
+            times, values = np.array(self.setpoints[output], dtype=float).T
+            at = np.searchsorted(times, t + SAME_TIME * plant.dt, side="right") - 1
+            references[reference] = values[at]
+        return Scenario(name, references, self.seed, dict(self.start))
+
+
+@record
+class LoopLimits:
+    """Limits of signals over `run`, and what is asked of the loop itself.
+
+    stable: it must be stable; margin: factor by which the boxes of what is uncertain may be widened; sensitivity: largest peak
+    |S|; None: not asked.
+    """
+
+    limits: tuple[Limit, ...] = ()
+    run: Course | None = None
+    stable: bool = True
+    margin: float | None = None
+    sensitivity: float | None = None
+
+
+def resolved(limits: Iterable[Limit], plant: Plant, controller: Loop) -> tuple[Limit, ...]:
+    """The limits with the units of the plant's signals. Raises InputError for signals that the loop does not have."""
+    units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs if c.name in controller.actuated}
+    found = []
+    for limit in limits:
+        check_known("channel", limit.signal, units, file=f"limit of {limit.signal}")
+        unit = units[limit.signal]
+        if limit.unit and limit.unit != unit:
+            mend = f"give the bounds in {unit or 'its own unit'}"
+            raise InputError(f"in {limit.unit}, the plant has it in {unit}", file=f"limit of {limit.signal}", mend=mend)
+        if "settling" in limit.kept and setpoint_of(limit, controller) is None:
+            known = f"the controller has set-points for {', '.join(controller.measured[: len(controller.references)])}"
+            raise InputError("settling needs a set-point", file=f"limit of {limit.signal}", mend=known)
+        found.append(replace(limit, unit=unit))
+    if not found:
+        raise InputError("no limit to keep", file=controller.name, mend="give at least one")
+    return tuple(found)
+
+
+def setpoint_of(limit: Limit, controller: Loop) -> str | None:
+    """Name of the set-point of the limit's signal, None where it has none."""
+    return dict(zip(controller.measured, controller.references, strict=False)).get(limit.signal)
+
+
+# ---- the file ------------------------------------------------------------------------------------------------------------------
+
+TABLES = ("run", "limits", "loop")
+RUN = ("duration", "seed", "start", "setpoints")
+LIMIT = ("low", "high", "rate", "band", "settling", "begin", "unit")
+LOOP = ("stable", "margin", "sensitivity")
+
+
+def load_limits(path: str | Path) -> LoopLimits:
+    """Read limits.toml; what is unknown, missing or makes no sense is refused with table, key, what is expected and the mend."""
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as reason:
+        raise InputError(f"not TOML: {reason}", file=path, mend="texts and times in quotes? one key a line?") from None
+    except UnicodeDecodeError:
+        raise InputError("not a text file", file=path, mend="expected TOML in UTF-8") from None
+    except OSError as reason:
+        raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
+    top = _Table(path, "", content, TABLES)
+    run = _course(top.table("run", RUN)) if "run" in content else None
+    named = top.table("limits", None)
+    limits = tuple(_limit(named.table(name, LIMIT), name, run) for name in named.content)
+    loop = top.table("loop", LOOP)
+    if limits and run is None:
+        raise InputError("[run] is missing", file=path, mend="limits are kept through a run: give its duration and set-points")
+    if not limits and not loop.content:
+        raise InputError("nothing to keep", file=path, mend="give [limits.SIGNAL] with low, high, rate or settling, or [loop]")
+    margin, sensitivity = loop.number("margin"), loop.number("sensitivity")
+    if margin is not None and margin <= 0.0:
+        raise loop.refused("margin", f"{margin:g}", "a factor above 0; 1 is the box as it was found")
+    if sensitivity is not None and sensitivity <= 1.0:
+        raise loop.refused("sensitivity", f"{sensitivity:g}", "no loop has a peak |S| below 1; usual are 1.4 to 2")
+    return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity)
+
+
+class _Table:
+    """A table of a TOML file, read key by key."""
+
+    def __init__(self, file: Path, name: str, content: Any, known: Sequence[str] | None):
+        self.file, self.name, self.content = file, name, content
+        if not isinstance(content, dict):
+            raise InputError(f"{name} is {_kind(content)}", file=file, mend=f"expected a table: [{name}]")
+        for key in content if known is not None else ():
+            check_known(f"key in [{name}]" if name else "table", key, known or (), file=file)
+
+    def refused(self, key: str, what: str, expected: str) -> InputError:
+        return InputError(f"[{self.name}] {key} = {what}", file=self.file, mend=expected)
+
+    def table(self, key: str, known: Sequence[str] | None) -> "_Table":
+        return _Table(self.file, f"{self.name}.{key}" if self.name else key, self.content.get(key, {}), known)
+
+    def number(self, key: str) -> float | None:
+        """A finite number, None where there is none."""
+        if key not in self.content:
+            return None
+        value = self.content[key]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.refused(key, _kind(value), "expected a number")
+        if not math.isfinite(value):
+            raise self.refused(key, f"{value}", "expected a finite number; leave out what has no bound")
+        return float(value)
+
+    def positive(self, key: str) -> float | None:
+        value = self.number(key)
+        if value is not None and value <= 0.0:
+            raise self.refused(key, f"{value:g}", "expected a number above 0")
+        return value
+
+    def time(self, key: str) -> float | None:
+        value = self.number(key)
+        if value is not None and value < 0.0:
+            raise self.refused(key, f"{value:g}", "expected seconds from the start of the run, 0 or later")
+        return value
+
+    def flag(self, key: str, default: bool) -> bool:
+        value = self.content.get(key, default)
+        if not isinstance(value, bool):
+            raise self.refused(key, _kind(value), "expected true or false")
+        return value
+
+
+def _kind(value: Any) -> str:
+    """A value as it is told in a message."""
+    if isinstance(value, str | int | float):
+        return repr(value)
+    return "a list" if isinstance(value, list) else f"a {type(value).__name__}"
+
+
+def _course(run: _Table) -> Course:
+    duration, seed = run.positive("duration"), run.content.get("seed")
+    if duration is None:
+        raise InputError("[run] duration is missing", file=run.file, mend="give the seconds of the run: duration = 20.0")
+    if duration > 1e9:
+        raise run.refused("duration", f"{duration:g}", "expected seconds")
+    if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
+        raise run.refused("seed", _kind(seed), "expected a whole number from 0 on; leave it out for no noise")
+    start = run.table("start", None)
+    setpoints = run.table("setpoints", None)
+    values = {name: start.number(name) or 0.0 for name in start.content}
+    return Course(duration, {name: _steps(setpoints, name, duration) for name in setpoints.content}, values, seed)
+
+
+def _steps(table: _Table, name: str, duration: float) -> tuple[tuple[float, float], ...]:
+    """((0, value),) of a constant, else the (time, value) pairs as they are given."""
+    given = table.content[name]
+    if not isinstance(given, list):
+        return ((0.0, table.number(name) or 0.0),)
+    pairs = []
+    for pair in given:
+        numbers = pair if isinstance(pair, list) else []
+        if len(numbers) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in numbers):
+            raise table.refused(name, _kind(given), "expected a number, or pairs [time, value]: [[0.0, 0.0], [5.0, 5.0]]")
+        if not all(math.isfinite(v) for v in numbers):
+            raise table.refused(name, f"{pair}", "expected finite numbers")
+        pairs.append((float(numbers[0]), float(numbers[1])))
+    times = [at for at, _ in pairs]
+    if not times or times[0] != 0.0:
+        raise table.refused(name, f"{given}", "the first pair is the value at the start: [0.0, value]")
+    if any(after <= before for before, after in pairwise(times)):
+        raise table.refused(name, f"{given}", "times must rise from pair to pair")
+    if times[-1] >= duration:
+        raise table.refused(name, f"{given}", f"the last step comes after the run's end at {duration:g} s")
+    return tuple(pairs)
+
+
+def _limit(own: _Table, name: str, run: Course | None) -> Limit:
+    low, high, rate, band = own.number("low"), own.number("high"), own.positive("rate"), own.positive("band")
+    settling, begin, unit = own.time("settling"), own.time("begin"), own.content.get("unit", "")
+    if low is not None and high is not None and low > high:
+        raise own.refused("low", f"{low:g}", f"is above high = {high:g}; exchange them")
+    if (band is None) != (settling is None):
+        there, missing = ("band", "settling") if settling is None else ("settling", "band")
+        raise InputError(
+            f"[{own.name}] {there} without {missing}",
+            file=own.file,
+            mend=f"give {missing} too: the output is within band of its set-point after settling seconds",
+        )
+    if low is None and high is None and rate is None and band is None:
+        raise InputError(f"[{own.name}] keeps nothing", file=own.file, mend="give low, high, rate, or band and settling")
+    if not isinstance(unit, str):
+        raise own.refused("unit", _kind(unit), "expected a text")
+    if run is not None:
+        steps = run.setpoints.get(name, ((0.0, 0.0),))
+        # a limit that holds from the end of the run on is kept by every loop
+        if (begin or 0.0) >= run.duration:
+            raise own.refused("begin", f"{begin:g}", f"the run ends at {run.duration:g} s: begin earlier, or run longer")
+        if settling is not None and steps[-1][0] + settling >= run.duration:
+            mend = f"the set-point last moves at {steps[-1][0]:g} s and the run ends at {run.duration:g} s: run longer"
+            raise own.refused("settling", f"{settling:g}", mend)
+    unlimited = np.inf
+    return Limit(
+        name,
+        low=-unlimited if low is None else low,
+        high=unlimited if high is None else high,
+        rate=unlimited if rate is None else rate,
+        band=unlimited if band is None else band,
+        settling=settling or 0.0,
+        begin=begin or 0.0,
+        unit=unit,
+    )
