@@ -218,6 +218,28 @@ def parser() -> argparse.ArgumentParser:
 
     command("doctor", "check this machine: versions, threads, compiler cache, a short self-check", "")
 
+    sub = command(
+        "check",
+        "is a loop safe on every machine that the records leave open? proved, or refuted with a run that shows it",
+        "examples:\n  workbench check --controller pid.json --limits limits.toml --model ssm.json --records a.csv b.csv\n"
+        "  workbench check --controller pid.json --limits limits.toml --plant web-winding\n"
+        "  workbench check --controller pid.json --limits limits.toml --plant found/extended.json --fitted found/diagnosis.json\n"
+        "exit code 1 where anything failed; what failed runs again with workbench simulate --replay FILE",
+    )
+    sub.add_argument("--controller", required=True, metavar="FILE", help="controller written by design")
+    sub.add_argument("--limits", required=True, metavar="FILE", help="what the loop must keep (TOML)")
+    sub.add_argument("--model", metavar="MODEL", help="identified model (ssm.json, ..) on which limits are proved or refuted")
+    sub.add_argument("--records", nargs="+", action="extend", default=[], metavar="RECORD", help="records that bound its errors")
+    sub.add_argument("--plant", metavar="PLANT", help=f"search for the worst machine: {PLANT_HELP}")
+    sub.add_argument(
+        "--fitted", nargs="+", action="extend", default=[], metavar="FILE", help="diagnosis.json, calibration.json: intervals"
+    )
+    sub.add_argument("--lags", type=_positive, default=1, help="samples of y and u that errors may depend on (default 1)")
+    sub.add_argument("--bound", metavar="E,E", help="largest error of each output beyond its parameters (default: the model's)")
+    sub.add_argument("--nodes", type=_positive, default=5, help="schedule values at which stability is proved (default 5)")
+    sub.add_argument("--runs", type=_positive, help="runs of the plant for each limit (default 400, 40 for an MPC)")
+    sub.add_argument("--seed", type=_seed, default=0, help="seed of the searches (default 0)")
+
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
     sub.add_argument(
         "study",

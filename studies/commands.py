@@ -32,7 +32,7 @@ def run(options: Namespace) -> int:
     check_file(options.json, "--json")
     commands = {
         "simulate": simulate, "identify": identify, "compare": compare, "calibrate": calibrate, "diagnose": diagnose,
-        "design": design, "export": export, "effects": effects, "doctor": doctor, "study": study,
+        "design": design, "export": export, "check": check, "effects": effects, "doctor": doctor, "study": study,
     }  # fmt: skip
     return commands[options.command](options)
 
@@ -239,6 +239,13 @@ def design(options: Namespace) -> int:
     from studies.design import design as run_design
 
     return run_design(options, say, progress)
+
+
+def check(options: Namespace) -> int:
+    """Prove or refute limits of a loop."""
+    from studies.check import check as run_check
+
+    return run_check(options, say, progress)
 
 
 def export(options: Namespace) -> int:

@@ -399,7 +399,7 @@ def load_interval_model(path) -> IntervalModel:
     if content.get("version") != VERSION:
         raise InputError(f"model version {content.get('version')}, this program reads {VERSION}", file=path)
     try:
-        return _from_dict(content, path)
+        return interval_model_from_dict(content, path)
     except KeyError as reason:
         _malformed(f"field {reason.args[0]!r} is missing", path)
     except (TypeError, ValueError, AttributeError) as reason:
@@ -412,7 +412,8 @@ def _malformed(problem: str, path) -> NoReturn:
     raise InputError(problem, file=path, mend="write the model again") from None
 
 
-def _from_dict(content: dict[str, Any], path) -> IntervalModel:
+def interval_model_from_dict(content: dict[str, Any], path) -> IntervalModel:
+    """The model that `IntervalModel.to_dict` wrote; path: the file that holds it, for messages."""
     structure = dict(content["structure"])
     kind = STRUCTURES[check_known("structure", structure.pop("kind"), STRUCTURES, file=path)]
     modes = tuple(

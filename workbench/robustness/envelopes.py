@@ -33,6 +33,7 @@ the kernel knows.
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -108,6 +109,22 @@ class Course:
     def members(self) -> np.ndarray:
         """(p c): 1 where parameter i belongs to channel j."""
         return np.eye(self.B.shape[2])[self.channel.astype(int)]
+
+    def at(self, delta: np.ndarray) -> "Course":
+        """The course with these parameters (p) at all samples; those that are not 0 are no longer uncertain."""
+        delta = np.asarray(delta, dtype=float)
+        one = np.eye(self.B.shape[2])[self.channel.astype(int)].T  # (c p)
+        gain = one * (self.lam * delta)[:, None, :]  # w = gain z of these
+        BD, FD = self.B @ gain, self.F @ gain
+        f = self.f[..., None]
+        return replace(
+            self,
+            A=self.A + BD @ self.C,
+            E=self.E + FD @ self.C,
+            q=self.q + (BD[self.modes] @ f)[..., 0],
+            g=self.g + (FD[self.modes] @ f)[..., 0],
+            lam=np.where(delta != 0.0, 0.0, self.lam),
+        )
 
     def number(self, signal: str) -> int:
         """Which of the watched signals it is."""

@@ -173,7 +173,7 @@ class LoopLimits:
     """Limits of signals over `run`, and what is asked of the loop itself.
 
     stable: it must be stable; margin: factor by which the boxes of what is uncertain may be widened; sensitivity: largest peak
-    |S|; None: not asked.
+    |S|; None: not asked. moving: parameters may be others at every sample, and not only unknown; then such a run refutes too.
     """
 
     limits: tuple[Limit, ...] = ()
@@ -181,6 +181,7 @@ class LoopLimits:
     stable: bool = True
     margin: float | None = None
     sensitivity: float | None = None
+    moving: bool = False
 
 
 def resolved(limits: Iterable[Limit], plant: Plant, controller: Loop) -> tuple[Limit, ...]:
@@ -212,7 +213,7 @@ def setpoint_of(limit: Limit, controller: Loop) -> str | None:
 TABLES = ("run", "limits", "loop")
 RUN = ("duration", "seed", "start", "setpoints")
 LIMIT = ("low", "high", "rate", "band", "settling", "begin", "unit")
-LOOP = ("stable", "margin", "sensitivity")
+LOOP = ("stable", "margin", "sensitivity", "moving")
 
 
 def load_limits(path: str | Path) -> LoopLimits:
@@ -240,7 +241,7 @@ def load_limits(path: str | Path) -> LoopLimits:
         raise loop.refused("margin", f"{margin:g}", "a factor above 0; 1 is the box as it was found")
     if sensitivity is not None and sensitivity <= 1.0:
         raise loop.refused("sensitivity", f"{sensitivity:g}", "no loop has a peak |S| below 1; usual are 1.4 to 2")
-    return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity)
+    return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity, loop.flag("moving", False))
 
 
 class _Table:

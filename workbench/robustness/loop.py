@@ -227,6 +227,45 @@ def course(loops: Sequence[DrivenLoop], references: np.ndarray) -> Course:
     )  # fmt: skip
 
 
+def with_rates(loop: DrivenLoop, names: Sequence[str]) -> DrivenLoop:
+    """The loop with the change per second of these commands among its signals, as "rate of ..".
+
+    The last commands join the state.
+    """
+    at = [loop.signals.index(name) for name in names]
+    E, H, F = (M[at] for M in (loop.E, loop.H, loop.F))
+    n, m = len(loop.A), len(at)
+    kept = np.eye(n, n + m)
+    return replace(
+        loop,
+        A=np.vstack([loop.A, E]) @ kept,
+        G=np.vstack([loop.G, H]),
+        B=np.vstack([loop.B, F]),
+        E=np.vstack([loop.E @ kept, np.hstack([E, -np.eye(m)]) / loop.dt]),
+        H=np.vstack([loop.H, H / loop.dt]),
+        F=np.vstack([loop.F, F / loop.dt]),
+        C=loop.C @ kept,
+        signals=(*loop.signals, *(f"rate of {name}" for name in names)),
+    )
+
+
+def course_of(
+    model: LPVModel, errors: Sequence[IntervalModel], law: LinearLaw, rho: np.ndarray, references: np.ndarray,
+    *, noise: bool, rates: Sequence[str] = (),
+) -> Course:  # fmt: skip
+    """The loop of a law and a model whose errors are bounded, along a schedule (N) and set-points (N nr).
+
+    noise: with the errors that no parameter explains. rates: commands whose change per second is watched too.
+    """
+    still = np.ptp(rho) == 0.0
+    values = rho[:1] if still else rho
+    loops = []
+    for machine, value in zip(machines_along(model, errors, values), values, strict=True):
+        loop = driven(machine, law, float(value) if law.schedule else None)
+        loops.append(with_rates(loop if noise else loop.quiet(), rates))
+    return course(loops, references)
+
+
 def machine_of(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = None) -> Machine:
     """The machine that interval models of the outputs that `law` measures describe at a schedule value."""
     models = _in_order(models, law)

@@ -10,6 +10,9 @@ certificate leaves, of what failed by how much the counterexample breaks the lim
 first, on its worse side for the second.
 
 Stability and bounds are of the linear law: they hold as long as no command is at its stop. `bounds_kept` finds out how long.
+
+What is proved holds for parameters that are others at every sample, and so for those that stand still. What refutes is another
+matter: unless parameters are said to move, only a run with constant ones does.
 """
 
 import math
@@ -21,11 +24,13 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
-from workbench.robustness.envelopes import Course, Kernel, Reached, dual, kernel, nominal, worst
-from workbench.robustness.margins import Margin
+from workbench.robustness.envelopes import Course, Kernel, dual, kernel, nominal, replay, worst
+from workbench.robustness.margins import Falsified, Margin, corners
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
 INSTANTS = 4  # samples of one signal and side at which the adversary is asked
+MOST_CONSTANT = 8  # parameters up to which all constant corners are run; above, CORNERS of them drawn at random
+CORNERS = 256
 
 
 class Status(Enum):
@@ -79,24 +84,30 @@ def overall(verdicts: Sequence[Verdict]) -> Status:
 # ---- stability -----------------------------------------------------------------------------------------------------
 
 
-def stability(found: Margin, needed: float, claim: str, of: str) -> Verdict:
-    """Whether the boxes may be `needed` times as wide, with parameters that move as they like at every sample."""
-    low, high = found.certified.kappa, found.falsified.kappa
+def refuting(found: Margin, moving: bool) -> Falsified:
+    """The sequence that refutes: of parameters that move, or of constant ones."""
+    if moving:
+        return found.falsified
+    kappa, delta = found.frozen.kappa * (1.0 + 1e-9), np.atleast_2d(found.frozen.delta)
+    return Falsified(kappa, delta, Falsified(kappa, delta, 1.0).replay(found.loop))
+
+
+def stability(found: Margin, needed: float, claim: str, of: str, *, moving: bool) -> Verdict:
+    """Whether the boxes may be `needed` times as wide; moving: whether parameters that move refute it too."""
+    low, high, lost = found.certified.kappa, found.falsified.kappa, refuting(found, moving)
     if low >= needed and found.certified.holds(found.loop):
         return Verdict(
             claim, of, Status.PROVED, low - needed, "boxes",
             f"a quadratic function of the state falls at every sample, whatever the parameters do, up to boxes {low:.3g} times "
             f"as wide; from {high:.3g} on a sequence is known that the loop does not survive",
         )  # fmt: skip
-    if high < needed and found.falsified.replay(found.loop) >= 1.0:
-        return Verdict(
-            claim, of, Status.FAILED, high - needed, "boxes",
-            f"in boxes {high:.3g} times as wide {len(found.falsified.delta)} sets of parameters in turn let a state grow for ever",
-        )  # fmt: skip
-    return Verdict(
-        claim, of, Status.UNDECIDED, low - needed, "boxes",
-        f"proved up to boxes {low:.3g} times as wide, refuted from {high:.3g} times on",
-    )  # fmt: skip
+    if lost.kappa < needed and lost.replay(found.loop) >= 1.0:
+        what = f"{len(lost.delta)} sets of parameters in turn let" if moving else "constant parameters let"
+        said = f"in boxes {lost.kappa:.3g} times as wide {what} a state grow without end"
+        return Verdict(claim, of, Status.FAILED, lost.kappa - needed, "boxes", said)
+    said = f"proved up to boxes {low:.3g} times as wide; moving parameters refute it from {high:.3g} on"
+    said += "" if moving else f", constant ones from {lost.kappa:.3g} on"
+    return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
 
 
 # ---- bounds along a run --------------------------------------------------------------------------------------------
@@ -114,13 +125,21 @@ class Bound:
 
 
 @record
+class Tried:
+    """Runs v (R N s) under parameters delta (R N p)."""
+
+    v: np.ndarray
+    delta: np.ndarray
+
+
+@record
 class Kept:
-    """The verdict on a bound, and the run that comes nearest to breaking it: number `question` of `reached`."""
+    """The verdict on a bound; the run v (N s), delta (N p) that comes nearest to breaking it, parameters moving or constant."""
 
     bound: Bound
     verdict: Verdict
-    reached: Reached
-    question: int
+    v: np.ndarray = field()
+    delta: np.ndarray = field()
 
 
 def bounds_kept(
@@ -129,24 +148,28 @@ def bounds_kept(
     stops: Sequence[Bound] = (),
     *,
     of: str,
+    moving: bool,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Kept]:
-    """A verdict on every bound over all parameters that move as they like.
+    """A verdict on every bound over all parameters within their boxes.
 
     stops: of the commands, within which the law is linear. From where it is not proved that they are kept nothing else is.
+    moving: whether parameters that move refute a bound too.
     """
     outer, run = kernel(course), nominal(course).v
     free = len(course)
     for stop in stops:
         progress(stop.claim)
-        free = min(free, _proved_until(course, outer, run, stop, _asked(course, run, stop, seed)))
+        free = min(free, _proved_until(course, outer, run, stop))
+    constant = None if moving else _constant_runs(course, seed)
     found = []
     for bound in bounds:
         progress(bound.claim)
-        asked = _asked(course, run, bound, seed)
-        until = _proved_until(course, outer, run, bound, asked)
-        found.append(_judged(course, outer, run, bound, asked, until, free, stops, of))
+        furthest = _moving_runs(course, run, bound, seed)
+        tried = furthest if constant is None else _with_noise(course, constant, bound, stops, seed)
+        until = _proved_until(course, outer, run, bound)
+        found.append(_judged(course, outer, run, bound, tried, furthest, until, free, stops, of))
     return found
 
 
@@ -156,18 +179,57 @@ def _sides(bound: Bound) -> list[tuple[int, np.ndarray]]:
     return [(side, limit) for side, limit in both if np.isfinite(limit).any()]
 
 
-def _asked(course: Course, run: np.ndarray, bound: Bound, seed: int) -> Reached:
-    """The adversary, where the nominal run comes nearest to the bound and at samples spread over the run."""
+def _moving_runs(course: Course, run: np.ndarray, bound: Bound, seed: int) -> Tried:
+    """The adversary, where the run in the middle comes nearest to the bound and at samples spread over it."""
     i, questions = course.number(bound.signal), []
     for side, limit in _sides(bound):
         counted = np.flatnonzero(np.isfinite(limit))
         nearest = counted[(side * run[counted, i] - limit[counted]).argmax()]
         spread = counted[np.linspace(0, len(counted) - 1, INSTANTS + 1).round().astype(int)[1:]]
         questions += [(bound.signal, int(k), side) for k in np.unique(np.append(spread, nearest))]
-    return worst(course, questions, seed=seed)
+    found = worst(course, questions, seed=seed)
+    return Tried(found.v, found.delta)
 
 
-def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound, asked: Reached) -> int:
+def _explained(course: Course) -> np.ndarray:
+    """Which parameters (p) belong to regressors that move with the loop; the others are errors that come new at every sample."""
+    return np.abs(course.C).max(axis=(0, 2), initial=0.0) > 0.0
+
+
+def _constant_runs(course: Course, seed: int) -> Tried:
+    """Runs at constant corners of the box, without errors that no parameter explains."""
+    own = np.flatnonzero(_explained(course) & (course.lam.max(axis=0) > 0.0))
+    if len(own) <= MOST_CONSTANT:
+        at = corners(len(own))
+    else:
+        at = np.random.default_rng(seed).choice([-1.0, 1.0], size=(CORNERS, len(own)))
+    delta = np.zeros((len(at), course.lam.shape[1]))
+    delta[:, own] = at
+    every = np.broadcast_to(delta[:, None, :], (len(at), len(course), delta.shape[1]))
+    return Tried(replay(course, every), every)
+
+
+def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[Bound], seed: int) -> Tried:
+    """The constant run that comes nearest to a bound, and the worst errors on top of it."""
+    i = course.number(bound.signal)
+    excess = _excess(constant.v, bound, i, _linear_until(course, constant.v, stops))
+    at = int(excess.max(axis=1).argmax())
+    best = Tried(constant.v[at : at + 1], constant.delta[at : at + 1])
+    if not (course.lam[:, ~_explained(course)] > 0.0).any():
+        return best
+    fixed = course.at(best.delta[0, 0])
+    errors = _moving_runs(fixed, best.v[0], bound, seed)
+    delta = best.delta + np.where(_explained(course), 0.0, errors.delta)
+    return Tried(replay(course, delta), delta)
+
+
+def _excess(v: np.ndarray, bound: Bound, signal: int, linear: np.ndarray) -> np.ndarray:
+    """By how much runs v (R N s) break a bound, (R N); -inf from where a command is at its stop."""
+    excess = np.maximum(bound.low - v[:, :, signal], v[:, :, signal] - bound.high)
+    return np.where(np.arange(v.shape[1]) >= linear[:, None], -np.inf, np.nan_to_num(excess, nan=-np.inf))
+
+
+def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound) -> int:
     """The first sample at which the bound is not proved; all of them where it is.
 
     Where the kernel does not suffice the dual is asked, from the sample on that misses most: if that one fails the others need
@@ -179,50 +241,55 @@ def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound, 
         open_at = np.flatnonzero(over > 0.0)
         if not len(open_at):
             continue
-        first = int(open_at[0])
         if len(open_at) <= DUALS and np.isfinite(over[open_at]).all():
             for k in open_at[np.argsort(-over[open_at])]:
-                own = worst(course, [(bound.signal, int(k), side)])
-                proof = dual(course, own, 0, outer)
+                proof = dual(course, worst(course, [(bound.signal, int(k), side)]), 0, outer)
                 if proof is None or not proof.bound <= limit[k]:
                     break
             else:
                 continue
-        until = min(until, first)
+        until = min(until, int(open_at[0]))
     return until
 
 
 def _judged(
-    course: Course, outer: Kernel, run: np.ndarray, bound: Bound, asked: Reached, until: int, free: int,
+    course: Course, outer: Kernel, run: np.ndarray, bound: Bound, tried: Tried, furthest: Tried, until: int, free: int,
     stops: Sequence[Bound], of: str,
 ) -> Kept:  # fmt: skip
-    i = course.number(bound.signal)
-    v = asked.v[:, :, i]  # (questions, N): what the worst sequences do at every sample
-    excess = np.maximum(bound.low - v, v - bound.high)
-    linear = _linear_until(course, asked, stops)
-    excess[np.arange(len(course))[None, :] >= linear[:, None]] = -np.inf
-    question, k = np.unravel_index(int(np.nanargmax(excess)), excess.shape)
-    reached = float(excess[question, k])
+    i, unit = course.number(bound.signal), bound.unit
+    excess = _excess(tried.v, bound, i, _linear_until(course, tried.v, stops))
+    row, k = np.unravel_index(int(excess.argmax()), excess.shape)
+    reached, v, delta = float(excess[row, k]), tried.v[row], tried.delta[row]
+    beyond = _excess(furthest.v, bound, i, np.full(len(furthest.v), len(course)))
+
+    def kept(status: Status, margin: float, said: str) -> Kept:
+        return Kept(bound, Verdict(bound.claim, of, status, margin, unit, said), v, delta)
+
+    moves = "parameters that move" if tried is furthest else "constant parameters"
     if reached > 0.0:
-        said = f"parameters within their boxes bring it to {v[question, k]:.4g} {bound.unit} at sample {k}"
-        return Kept(bound, Verdict(bound.claim, of, Status.FAILED, -reached, bound.unit, said), asked, int(question))
+        return kept(Status.FAILED, -reached, f"{moves} within their boxes bring it to {v[k, i]:.4g} {unit} at sample {k}")
     if until == len(course) and free == len(course):
-        left = np.minimum(run[:, i] - outer.half[:, i] - bound.low, bound.high - run[:, i] - outer.half[:, i])
-        margin = max(float(left.min()), 0.0)
-        said = f"whatever the parameters do at {len(course)} samples; the worst run found leaves {-reached:.3g} {bound.unit}"
-        return Kept(bound, Verdict(bound.claim, of, Status.PROVED, margin, bound.unit, said), asked, int(question))
-    why = f"proved up to sample {until} of {len(course)}" if until < len(course) else "proved for the linear law"
+        half = outer.half[:, i]
+        left = max(float(np.minimum(run[:, i] - half - bound.low, bound.high - run[:, i] - half).min()), 0.0)
+        said = (
+            f"whatever the parameters do at {len(course)} samples; the worst run found leaves {-float(beyond.max()):.3g} {unit}"
+        )
+        return kept(Status.PROVED, left, said)
+    said = f"proved up to sample {until} of {len(course)}" if until < len(course) else "proved for the linear law"
     if free < len(course):
-        why += f", but from sample {free} on a command may be at its stop"
-    said = f"{why}; the worst run found leaves {-reached:.3g} {bound.unit}"
-    return Kept(bound, Verdict(bound.claim, of, Status.UNDECIDED, -reached, bound.unit, said), asked, int(question))
+        said += f", but from sample {free} on a command may be at its stop"
+    said += f"; {moves} leave {-reached:.3g} {unit}"
+    if tried is not furthest:
+        worse = float(beyond.max())
+        said += f", moving ones {'leave' if worse <= 0.0 else 'miss it by'} {abs(worse):.3g} {unit}"
+    return kept(Status.UNDECIDED, -reached, said)
 
 
-def _linear_until(course: Course, asked: Reached, stops: Sequence[Bound]) -> np.ndarray:
-    """The first sample (questions) of each run at which a command is beyond its stop; after that the run is not the law's."""
-    until = np.full(len(asked.v), len(course))
+def _linear_until(course: Course, v: np.ndarray, stops: Sequence[Bound]) -> np.ndarray:
+    """The first sample (R) of runs v (R N s) at which a command is beyond its stop; after that the run is not the law's."""
+    until = np.full(len(v), len(course))
     for stop in stops:
-        v = asked.v[:, :, course.number(stop.signal)]
-        beyond = (v < stop.low) | (v > stop.high)
+        own = v[:, :, course.number(stop.signal)]
+        beyond = (own < stop.low) | (own > stop.high)
         until = np.minimum(until, np.where(beyond.any(axis=1), beyond.argmax(axis=1), len(course)))
     return until

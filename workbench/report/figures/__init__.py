@@ -17,6 +17,7 @@ from workbench.report.figures.modes import (
     parameters_along_time,
 )
 from workbench.report.figures.rates import Rates, rates, taken_for
+from workbench.report.figures.robustness import guaranteed
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses
 from workbench.report.figures.scores import score_dots
 from workbench.report.figures.simulation import measured_and_simulated, responses
@@ -38,6 +39,7 @@ __all__ = [
     "domains",
     "envelope",
     "frozen_responses",
+    "guaranteed",
     "left_over",
     "measured_and_simulated",
     "missing",

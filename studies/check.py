@@ -1,0 +1,451 @@
+"""`workbench check`: is a loop safe on every machine that the records leave open? Proved, or refuted with a run that shows it.
+
+On the identified model: errors that the records leave open move as they like within their boxes; certificates and parameter
+sequences stand side by side. On the simulated plant: the worst machine within tolerances and fitted intervals is searched for.
+"""
+
+import math
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controllers.files import controller_content, controller_of, load_controller
+from controllers.pid_design import worst_margins
+from controllers.scheduled_pid import ScheduledPID
+from controllers.tuning import DEFAULT
+from studies.arguments import Chosen, choose_plant, run_folder, trusted_plant
+from workbench.data import Channel, Dataset
+from workbench.errors import InputError
+from workbench.files import write_json
+from workbench.intervals.errors import ErrorRegression
+from workbench.intervals.model import IntervalModel
+from workbench.lpv import LPVModel, load_model
+from workbench.physics.controller import Controller
+from workbench.provenance import provenance
+from workbench.readers import read
+from workbench.records import record
+from workbench.report import figures
+from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
+from workbench.robustness.envelopes import Course, kernel, nominal
+from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
+from workbench.robustness.limits import SAME_TIME, Limit, LoopLimits, load_limits, resolved
+from workbench.robustness.limits import Course as Manoeuvre
+from workbench.robustness.loop import driven, machine_with_errors
+from workbench.robustness.margins import Margin, margin
+from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence, same
+from workbench.robustness.verdict import Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
+from workbench.simulate import Scenario, simulate
+
+Say = Callable[[str], None]
+
+NODES = 5  # of the schedule at which the loop is proved
+GRID = 25  # of the schedule at which |S| is looked at
+RUNS, STEPPED = 400, 40  # of the plant for each limit; of a law that is computed step by step
+SURE = 1e-3  # probability that a statement about sampling is wrong
+RATE = "rate of "
+
+
+@record
+class Checked:
+    """Verdicts, the blocks of the page that show them, and the files that show what failed."""
+
+    verdicts: tuple[Verdict, ...]
+    blocks: tuple[Block, ...]
+
+
+def check(options: Namespace, say: Say, progress: Say) -> int:
+    """Verdicts on the model, on the plant, or on both; 1 where anything failed."""
+    limits = load_limits(options.limits)
+    if not (options.model or options.plant):
+        mend = "give --model M.json --records R.csv for proofs, --plant PLANT for a search on the simulated machine, or both"
+        raise InputError("check on what?", mend=mend)
+    if bool(options.model) != bool(options.records):
+        raise InputError("--model and --records go together", mend="the records say what the model leaves open")
+    if options.fitted and not options.plant:
+        raise InputError("--fitted is for a search on the plant", mend="give --plant as well")
+    chosen = choose_plant(options.plant) if options.plant else None
+    base = chosen.base if chosen else ""
+    law = load_controller(options.controller, lambda name: trusted_plant(name, base))
+    model = load_model(options.model) if options.model else None
+    records = [read(path) for path in options.records]
+    folder = run_folder(options.out, "check")
+    parts: list[tuple[str, Checked]] = []
+    if model is not None:
+        errors = open_errors(model, records, options)
+        say(f"{model.name}: {_described(errors)}")
+        parts.append(("On the identified model", on_model(model, errors, law, limits, chosen, folder, options.nodes, progress)))
+    if chosen is not None:
+        parts.append(("On the simulated plant", on_plant(chosen, law, limits, options, folder, progress)))
+    verdicts = [v for _, part in parts for v in part.verdicts]
+    for verdict in verdicts:
+        say(str(verdict))
+    status = overall(verdicts)
+    say(f"{status.value}: {counted(verdicts)}")
+    files = [options.controller, options.limits, *options.records, *([options.model] if options.model else []), *options.fitted]
+    source = provenance(_configuration(options), [*files, *(chosen.files if chosen else ())], options.seed)
+    content = {"status": status.value, "verdicts": [v.to_dict() for v in verdicts], "provenance": source}
+    for path in (folder / "check.json", options.json):
+        if path:
+            write_json(path, content)
+    sections = [Section("Verdicts", (verdict_table(verdicts),))]
+    sections += [Section(title, part.blocks) for title, part in parts if part.blocks]
+    sections.append(Section("Provenance", (Provenance(source),)))
+    page = write_report(Report(f"Check of {law.name}", headline(law.name, status, verdicts), tuple(sections)), folder)
+    say(f"report: {page}")
+    return 1 if status is Status.FAILED else 0
+
+
+def _configuration(options: Namespace) -> dict[str, Any]:
+    keys = ("controller", "limits", "model", "records", "plant", "fitted", "lags", "bound", "nodes", "runs")
+    return {key: getattr(options, key) for key in keys}
+
+
+def counted(verdicts: Sequence[Verdict]) -> str:
+    """How many of each."""
+    number = {status: sum(v.status is status for v in verdicts) for status in Status}
+    return ", ".join(f"{count} {status.value}" for status, count in number.items() if count)
+
+
+def headline(name: str, status: Status, verdicts: Sequence[Verdict]) -> str:
+    """The verdict in one paragraph."""
+    said = {
+        Status.PROVED: f"PROVED: {name} keeps everything that was asked, on every machine that the records leave open.",
+        Status.PASSED: f"PASSED: nothing that was asked of {name} could be broken. What is marked PASSED was tried, not proved.",
+        Status.UNDECIDED: f"UNDECIDED: something asked of {name} is neither proved nor refuted.",
+        Status.FAILED: f"FAILED: {name} does not keep what was asked; a stored run shows it.",
+    }[status]
+    worst = [v for v in verdicts if v.status is status]
+    return f"{said} {counted(verdicts)}.\n\n" + "\n\n".join(f"{v.claim} ({v.of}): {v.sentence}." for v in worst[:4])
+
+
+def verdict_table(verdicts: Sequence[Verdict]) -> Table:
+    rows = tuple((v.claim, v.of, v.status.value, v.margin, v.unit, v.sentence, v.witness) for v in verdicts)
+    return Table(
+        "Verdicts", ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
+        caption="PROVED: a certificate, checked in outward-rounded arithmetic. PASSED: no counterexample was found, which proves "
+        "nothing. FAILED: the file named runs again with workbench simulate --replay. UNDECIDED: neither. A negative margin is "
+        "what is missing.",
+    )  # fmt: skip
+
+
+# ---- on the identified model --------------------------------------------------------------------------------------------
+
+
+def open_errors(model: LPVModel, records: Sequence[Any], options: Namespace) -> tuple[IntervalModel, ...]:
+    """What the records leave open of the model's errors."""
+    bound = None if options.bound is None else [float(part) for part in options.bound.split(",")]
+    return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(records)))
+
+
+def _described(errors: Sequence[IntervalModel]) -> str:
+    said = []
+    for own in errors:
+        box = own.modes[0].box
+        ends = [
+            f"{name} {low:+.3g} to {high:+.3g}"
+            for name, low, high in zip(own.form.names, box.centre - box.radius, box.centre + box.radius, strict=True)
+        ]
+        said.append(f"{own.output.name} [{own.output.unit}] within {', '.join(ends)}")
+    return "; ".join(said)
+
+
+def on_model(
+    model: LPVModel, errors: Sequence[IntervalModel], law: Any, limits: LoopLimits, chosen: Chosen | None, folder: Path,
+    nodes: int, progress: Say,
+) -> Checked:  # fmt: skip
+    """Stability at nodes of the schedule, |S|, and limits along the run."""
+    of = f"model {model.name}"
+    if not isinstance(law, ScheduledPID):
+        said = f"{law.name} is computed step by step: no linear law to prove anything of; check it on the plant"
+        return Checked((Verdict("stable", of, Status.UNDECIDED, math.nan, "", said),), ())
+    verdicts, blocks = [], []
+    if limits.stable or limits.margin is not None:
+        own, picture = _stability(model, errors, law, limits, folder, nodes, of, progress)
+        verdicts, blocks = [*verdicts, *own], [*blocks, *picture]
+    if limits.sensitivity is not None:
+        verdicts.append(_sensitivity(model, law, limits.sensitivity, of))
+    if limits.limits and limits.run is not None:
+        own, pictures = _bounds(model, errors, law, limits, chosen, folder, of, progress)
+        verdicts, blocks = [*verdicts, *own], [*blocks, *pictures]
+    return Checked(tuple(verdicts), tuple(blocks))
+
+
+def _stability(
+    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, limits: LoopLimits, folder: Path, nodes: int, of: str,
+    progress: Say,
+) -> tuple[list[Verdict], list[Block]]:  # fmt: skip
+    at = [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist()
+    needed = max(limits.margin or 1.0, 1.0 if limits.stable else 0.0)
+    verdicts, found = [], []
+    for rho in at:
+        where = (
+            ""
+            if rho is None or model.schedule is None
+            else f" at {model.schedule.name} = {rho:.4g} {model.schedule.unit}".rstrip()
+        )
+        progress(f"stability{where}")
+        claim = f"stable{where}" + f" in boxes {needed:g} times as wide" * (needed != 1.0)
+        loop = driven(machine_with_errors(model, errors, rho), law, rho).undriven()
+        if loop.radius >= 1.0:
+            said = f"lost in the middle of the boxes: a pole of modulus {loop.radius:.4g}"
+            verdicts.append(Verdict(claim, of, Status.FAILED, 1.0 - loop.radius, "", said))
+            continue
+        own = margin(loop)
+        found.append((rho, own))
+        verdict = stability(own, needed, claim, of, moving=limits.moving)
+        if verdict.status is Status.FAILED:
+            path = folder / f"sequence-{len(found)}.json"
+            witness = Growth(claim, own.loop, refuting(own, limits.moving))
+            witness.save(path)
+            verdict = _replayed(verdict, path)
+        verdicts.append(verdict)
+    return verdicts, _margin_blocks(model, found, needed)
+
+
+def _told(model: LPVModel, rho: float) -> str:
+    """The schedule at a value."""
+    assert model.schedule is not None
+    return f"{model.schedule.name} = {rho:.4g} {model.schedule.unit}".rstrip()
+
+
+def _replayed(verdict: Verdict, path: Path) -> Verdict:
+    """The verdict with its file, where the file gives the same number again."""
+    stored = load_sequence(path)
+    if same(stored.again(lambda content: controller_of(content, path)), stored.value):
+        return verdict.shown_by(path.name)
+    return replace(verdict, status=Status.UNDECIDED, sentence=f"{verdict.sentence}; the stored run did not give it again")
+
+
+def _margin_blocks(model: LPVModel, found: Sequence[tuple[float | None, Margin]], needed: float) -> list[Block]:
+    if not found:
+        return []
+    said = (
+        "How many times as wide the boxes may be. Proved: parameters that move as they like at every sample. Refuted: a sequence "
+        "of parameters that the loop does not survive. Standing still: constant parameters, which say nothing of moving ones. "
+        "All for a schedule that stands still."
+    )
+    columns = {
+        "proved": [m.certified.kappa for _, m in found],
+        "refuted": [m.falsified.kappa for _, m in found],
+        "standing still": [m.frozen.kappa for _, m in found],
+    }
+    if model.schedule is None or len(found) < 2:
+        return [Table("Margins", ("margin", "boxes"), tuple((name, values[0]) for name, values in columns.items()), said)]
+    curves = {name: np.array(values) for name, values in columns.items()} | {"asked": np.array(needed)}
+    over = figures.Trace(model.schedule, np.array([rho for rho, _ in found], dtype=float))
+    return [figures.over_schedule("Margins over the schedule", over, {"boxes, times as wide": curves}, said)]
+
+
+def _sensitivity(model: LPVModel, law: ScheduledPID, asked: float, of: str) -> Verdict:
+    grid = [None] if model.schedule is None else list(np.linspace(model.span[0], model.span[1], GRID))
+    peaks = worst_margins(law, [model], grid, DEFAULT).sensitivity
+    largest = float(peaks.max())
+    rho = grid[int(peaks.argmax())]
+    where = f", at {_told(model, rho)}" if rho is not None else ""
+    status = Status.PASSED if largest <= asked else Status.FAILED
+    said = f"the largest |S| of the model itself is {largest:.3g} at {len(grid)} schedule values{where}"
+    return Verdict(f"peak |S| at most {asked:g}", of, status, asked - largest, "", said)
+
+
+def _bounds(
+    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, limits: LoopLimits, chosen: Chosen | None, folder: Path,
+    of: str, progress: Say,
+) -> tuple[list[Verdict], list[Block]]:  # fmt: skip
+    run = limits.run
+    assert run is not None
+    references = _references(run, law)
+    N = len(references)
+    rho = _schedule(model, law, run, chosen, N)
+    channels = {c.name: c for c in (*model.outputs, *model.inputs)}
+    for limit in limits.limits:
+        if limit.signal not in (*law.measured, *law.actuated):
+            known = ", ".join((*law.measured, *law.actuated))
+            raise InputError("not a signal of this loop", file=f"limit of {limit.signal}", mend=f"it has {known}")
+    wanted = [bound for limit in limits.limits for bound in _asked(limit, law, references, channels[limit.signal].unit)]
+    stops = _stops(law, N)
+    rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE) for b in (*wanted, *stops) if b.signal.startswith(RATE)))
+    passage = Passage(model, tuple(errors), controller_content(law), rho, references, run.seed is not None, rates)
+    progress("the loop along the run")
+    own = passage.course(law)
+    kept = bounds_kept(own, wanted, stops, of=of, moving=limits.moving, progress=progress)
+    verdicts = []
+    for number, k in enumerate(kept, 1):
+        verdict = k.verdict
+        if verdict.status is Status.FAILED:
+            verdict = _replayed(verdict, _broken(own, k, passage, folder / f"passage-{number}.json"))
+        verdicts.append(verdict)
+    return verdicts, _envelope_pictures(own, kept, channels, law.dt)
+
+
+def _references(run: Manoeuvre, law: Any) -> np.ndarray:
+    """Set-points (N, nr) in the law's order."""
+    if missing := [output for output in law.measured[: len(law.references)] if output not in run.setpoints]:
+        raise InputError(f"no set-point for {', '.join(missing)}", file="limits", mend="give one in [run.setpoints]")
+    t, columns = law.dt * np.arange(round(run.duration / law.dt)), []
+    for output in law.measured[: len(law.references)]:
+        times, values = np.array(run.setpoints[output], dtype=float).T
+        columns.append(values[np.searchsorted(times, t + SAME_TIME * law.dt, side="right") - 1])
+    return np.column_stack(columns)
+
+
+def _schedule(model: LPVModel, law: Any, run: Manoeuvre, chosen: Chosen | None, N: int) -> np.ndarray:
+    """What the schedule does: as on the nominal plant, and without one once over all that the model knows."""
+    if model.schedule is None:
+        return np.zeros(N)
+    if chosen is None:
+        return np.linspace(model.span[0], model.span[1], N)
+    quiet = replace(run, seed=None).scenario(chosen.plant, law)
+    return np.clip(simulate(chosen.plant, law, quiet, bumpless=True).experiment[model.schedule.name][:N], *model.span)
+
+
+def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bound]:
+    """A limit as bounds at every sample."""
+    N, unit = len(references), limit.unit or unit
+    t = law.dt * np.arange(N)
+    since = t >= limit.begin - 1e-6 * law.dt
+    none, found = np.full(N, np.inf), []
+    for kind in limit.kept:
+        value = getattr(limit, "band" if kind == "settling" else kind)
+        told = f"{limit.signal}: {kind if kind != 'settling' else f'within the band {limit.settling:g} s after a step'}"
+        claim = f"{told} {value:g} {unit}" + "/s" * (kind == "rate")
+        if kind == "low":
+            found.append(Bound(claim, limit.signal, unit, np.where(since, value, -np.inf), none))
+        elif kind == "high":
+            found.append(Bound(claim, limit.signal, unit, -none, np.where(since, value, np.inf)))
+        elif kind == "rate":
+            inner = np.where(since & np.append(False, since[:-1]), value, np.inf)
+            found.append(Bound(claim, f"{RATE}{limit.signal}", f"{unit}/s", -inner, inner))
+        else:
+            r = references[:, law.measured.index(limit.signal)]
+            moved = np.flatnonzero(np.diff(r))
+            arrived = (t[moved[-1] + 1] if len(moved) else 0.0) + limit.settling
+            late = since & (t >= arrived - 1e-6 * law.dt)
+            found.append(Bound(claim, limit.signal, unit, np.where(late, r - value, -np.inf), np.where(late, r + value, np.inf)))
+    return found
+
+
+def _stops(law: ScheduledPID, N: int) -> list[Bound]:
+    """Where the law's own limits begin to act."""
+    found = []
+    for name, low, high, rate in zip(law.actuated, law.low, law.high, law.rate, strict=True):
+        if np.isfinite(low) or np.isfinite(high):
+            found.append(Bound(f"{name} between its stops", name, law.unit(name), np.full(N, low), np.full(N, high)))
+        if np.isfinite(rate):
+            found.append(Bound(f"{name} below its rate", f"{RATE}{name}", law.unit(name), np.full(N, -rate), np.full(N, rate)))
+    return found
+
+
+def _broken(own: Course, kept: Kept, passage: Passage, path: Path) -> Path:
+    """The file of the run that breaks a bound."""
+    v = kept.v[:, own.number(kept.bound.signal)]
+    k = int(np.maximum(kept.bound.low - v, v - kept.bound.high).argmax())
+    return Broken(kept.bound.claim, passage, kept.bound.signal, k, float(v[k]), kept.delta).save(path)
+
+
+def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Channel], dt: float) -> list[Block]:
+    """Every signal with a bound: band, worst runs, bounds."""
+    outer, run = kernel(own), nominal(own).v
+    t, blocks = dt * np.arange(len(run)), []
+    for signal in dict.fromkeys(k.bound.signal for k in kept):
+        i = own.number(signal)
+        mine = [k for k in kept if k.bound.signal == signal]
+        runs = {f"worst for {k.bound.claim.split(': ')[-1]}": k.v[:, i] for k in mine}
+        limits = {
+            f"{side} limit": pick([getattr(k.bound, side) for k in mine], axis=0)
+            for side, pick in (("low", np.max), ("high", np.min))
+        }
+        name = signal.removeprefix(RATE)
+        unit = channels[name].unit + "/s" * signal.startswith(RATE)
+        caption = (
+            "The band holds every run, whatever the parameters do within their boxes at every sample. Dashed and coloured: the "
+            "parameter sequences that come furthest."
+        )
+        blocks.append(
+            figures.guaranteed(
+                f"{signal} along the run", t, Channel(signal, unit, "output"), run[:, i], run[:, i] - outer.half[:, i],
+                run[:, i] + outer.half[:, i], runs, {n: v for n, v in limits.items() if np.isfinite(v).any()}, caption,
+            )
+        )  # fmt: skip
+    return blocks
+
+
+# ---- on the simulated plant ---------------------------------------------------------------------------------------------
+
+
+def on_plant(chosen: Chosen, law: Any, limits: LoopLimits, options: Namespace, folder: Path, progress: Say) -> Checked:
+    """For each limit the worst machine within tolerances and fitted intervals."""
+    if not limits.limits or limits.run is None:
+        said = "no limits of signals are asked: nothing to try on the plant"
+        raise InputError(said, file=options.limits, mend="give [run] and [limits.SIGNAL], or leave --plant out")
+    plant, of = chosen.plant, f"plant {chosen.plant.name}"
+    box = {str(d): d for d in tolerance_box(plant)}
+    for path in options.fitted:
+        box |= {str(d): d for d in fitted_box(plant, path)}
+    scenario = limits.run.scenario(plant, law)
+    compiled = isinstance(law, Controller)
+    runs = options.runs or (RUNS if compiled else STEPPED)
+    verdicts, worst = [], []
+    for number, limit in enumerate(resolved(limits.limits, plant, law), 1):
+        name = f"{limit.signal}: {' and '.join(limit.kept)}"
+        progress(f"worst machine for {name}")
+        found = worst_plant(plant, law, scenario, [limit], tuple(box.values()), runs=runs, seed=options.seed)
+        worst.append(found)
+        said = f"{found.sentence}; the worst of {found.runs} machines within {len(box)} intervals"
+        unit = limit.unit_of(found.bound)
+        if not found.broken:
+            verdicts.append(Verdict(name, of, Status.PASSED, -found.excess, unit, said))
+            continue
+        path = found.counterexample(chosen.base, controller_content(law)).save(folder / f"counterexample-{number}.json")
+        again = load_counterexample(path).replay(plant, law)
+        status = Status.FAILED if again.same else Status.UNDECIDED
+        verdicts.append(Verdict(name, of, status, -found.excess, unit, said, path.name))
+    blocks: list[Block] = [_machine_table(worst, box)]
+    if not compiled:
+        progress("machines at random")
+        verdicts.append(_sampled(plant, law, scenario, limits, tuple(box.values()), runs, options.seed, of))
+    return Checked(tuple(verdicts), (*blocks, *_worst_pictures(plant, law, scenario, worst)))
+
+
+def _sampled(plant: Any, law: Any, scenario: Scenario, limits: LoopLimits, box: tuple, runs: int, seed: int, of: str) -> Verdict:
+    """What random machines say: a statement about sampling, not about the worst case."""
+    found = at_random(plant, law, scenario, limits.limits, box, runs=runs, seed=seed)
+    share = -math.log(SURE) / found.runs
+    if found.broken:
+        said = f"{found.sentence}; among {found.runs} random machines"
+        return Verdict("limits, machines drawn at random", of, Status.UNDECIDED, -found.excess, "", said)
+    said = (
+        f"none of {found.runs} random machines breaks a limit: with a confidence of {100 * (1 - SURE):g} % less than "
+        f"{100 * share:.2g} % of machines drawn like these do; about sampling, not about the worst case"
+    )
+    return Verdict("limits, machines drawn at random", of, Status.PASSED, math.nan, "", said)
+
+
+def _machine_table(worst: Sequence[Worst], box: dict) -> Table:
+    """Where in its interval each number of the worst machines lies."""
+    rows = tuple((name, d.low, d.high, *(found.point.get(name, d.low) for found in worst)) for name, d in box.items())
+    header = ("number", "from", "to", *(f"worst for {found.limit.signal} {found.bound}" for found in worst))
+    return Table("The worst machines", header, rows, "Found by search, within the tolerances and fitted intervals.")
+
+
+def _worst_pictures(plant: Any, law: Any, scenario: Scenario, worst: Sequence[Worst]) -> list[Block]:
+    """The signal of each limit on the nominal machine and on the worst one."""
+    blocks: list[Block] = []
+    before = simulate(plant, law, scenario, bumpless=True, cut=True).experiment
+    for found in worst:
+        after = simulate(
+            plant, law, scenario, parameters=found.parameters, effects=found.effects, substeps=found.substeps,
+            bumpless=found.bumpless, cut=True,
+        ).experiment  # fmt: skip
+        signal, N = found.limit.signal, min(len(before), len(after))
+        t = before.t[:N]
+        shown = {"nominal machine": before[signal][:N], "worst machine": after[signal][:N]}
+        for side in ("low", "high"):
+            if math.isfinite(value := getattr(found.limit, side)):
+                shown[f"{side} limit"] = np.where(t >= found.limit.begin, value, np.nan)
+        unit = next(c.unit for c in before.channels if c.name == signal)
+        blocks.append(figures.responses(f"{signal} [{unit}] on the worst machine for its {found.bound}", t, shown, unit))
+    return blocks

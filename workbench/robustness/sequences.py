@@ -1,0 +1,158 @@
+"""Parameter sequences that break a claim about an identified loop, as files that stand alone and are run again.
+
+    growth     the parameters of a frozen loop in turn, again and again: the product of its matrices has a pole outside the circle
+    passage    parameters along a run of model, errors and law: a signal leaves its bound
+
+Both hold every number that they need; what a replay finds must agree with what the file says to SAME, relative.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.files import read_json, write_json
+from workbench.intervals.model import IntervalModel, interval_model_from_dict
+from workbench.lpv import LPVModel, model_from_dict
+from workbench.records import field, record
+from workbench.robustness.envelopes import Course, replay
+from workbench.robustness.loop import LinearLaw, UncertainLoop, course_of
+from workbench.robustness.margins import Falsified
+
+SCHEMA, VERSION = "gain-scheduling-workbench/parameter-sequence", 1
+SAME = 1e-9
+
+
+@record
+class Growth:
+    """A loop, and parameters within kappa times its boxes that, repeated, multiply a state by `growth` each time."""
+
+    claim: str
+    loop: UncertainLoop
+    found: Falsified
+
+    @property
+    def value(self) -> float:
+        return self.found.growth
+
+    @property
+    def sentence(self) -> str:
+        count, kappa = len(self.found.delta), self.found.kappa
+        return f"{count} sets of parameters in turn, in boxes {kappa:.4g} times as wide, multiply a state by"
+
+    def again(self, make_law: Callable[[Mapping[str, Any]], LinearLaw]) -> float:
+        """The largest modulus of a pole of the product over one period."""
+        del make_law
+        return self.found.replay(self.loop)
+
+    def save(self, path: str | Path) -> Path:
+        loop, found = self.loop, self.found
+        content = {
+            "kind": "growth", "claim": self.claim, "value": found.growth, "kappa": found.kappa, "delta": found.delta,
+            "A": loop.A, "B": loop.B, "C": loop.C, "lam": loop.lam, "channel": loop.channel,
+            "parameters": list(loop.parameters), "dt": loop.dt,
+        }  # fmt: skip
+        return write_json(path, {"schema": SCHEMA, "version": VERSION} | content)
+
+
+@record
+class Passage:
+    """Set-points (N nr) and a schedule (N) through which a law leads a model.
+
+    noise: with the errors that no parameter explains. rates: commands whose change per second is watched too, as "rate of ..".
+    """
+
+    model: LPVModel
+    errors: tuple[IntervalModel, ...]
+    controller: Mapping[str, Any]
+    rho: np.ndarray = field("N")
+    references: np.ndarray = field("N nr")
+    noise: bool
+    rates: tuple[str, ...] = ()
+
+    def course(self, law: LinearLaw) -> Course:
+        """The loop along it."""
+        return course_of(self.model, self.errors, law, self.rho, self.references, noise=self.noise, rates=self.rates)
+
+
+@record
+class Broken:
+    """A passage and parameters delta (N p) under which a signal has `value` at a sample, beyond what is claimed."""
+
+    claim: str
+    passage: Passage
+    signal: str
+    sample: int
+    value: float
+    delta: np.ndarray = field("N p", low=-1.0, high=1.0)
+
+    @property
+    def sentence(self) -> str:
+        return f"parameters within their boxes bring {self.signal} at sample {self.sample} to"
+
+    def again(self, make_law: Callable[[Mapping[str, Any]], LinearLaw]) -> float:
+        """The signal at the sample."""
+        own = self.passage.course(make_law(self.passage.controller))
+        return float(replay(own, self.delta[None])[0, self.sample, own.number(self.signal)])
+
+    def save(self, path: str | Path) -> Path:
+        own = self.passage
+        content = {
+            "kind": "passage", "claim": self.claim, "value": self.value, "signal": self.signal, "sample": self.sample,
+            "delta": self.delta, "rho": own.rho, "references": own.references, "noise": own.noise, "rates": list(own.rates),
+            "model": own.model.to_dict(), "errors": [e.to_dict() for e in own.errors], "controller": dict(own.controller),
+        }  # fmt: skip
+        return write_json(path, {"schema": SCHEMA, "version": VERSION} | content)
+
+
+Witness = Growth | Broken
+
+
+def is_sequence(path: str | Path) -> bool:
+    """Whether a file says that it is one of these."""
+    content = read_json(path)
+    return isinstance(content, dict) and content.get("schema") == SCHEMA
+
+
+def load_sequence(path: str | Path) -> Witness:
+    """Read a file written by `save`; what is missing or foreign is named."""
+    content = read_json(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError("not a parameter sequence", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
+    if content.get("version") != VERSION:
+        raise InputError(f"version {content.get('version')}, this program reads {VERSION}", file=path)
+    try:
+        return _growth(content) if content["kind"] == "growth" else _broken(content, path)
+    except KeyError as reason:
+        _malformed(f"field {reason.args[0]!r} is missing", path)
+    except (TypeError, ValueError, AttributeError, IndexError) as reason:
+        if isinstance(reason, InputError) and reason.file is not None:
+            raise
+        _malformed(f"malformed: {reason}", path)
+
+
+def _malformed(problem: str, path: str | Path) -> NoReturn:
+    raise InputError(problem, file=path, mend="run the check again") from None
+
+
+def _growth(content: Mapping[str, Any]) -> Growth:
+    loop = UncertainLoop(
+        content["A"], content["B"], content["C"], content["lam"], content["channel"], tuple(content["parameters"]), content["dt"]
+    )
+    return Growth(content["claim"], loop, Falsified(float(content["kappa"]), content["delta"], float(content["value"])))
+
+
+def _broken(content: Mapping[str, Any], path: str | Path) -> Broken:
+    errors: Sequence[Any] = content["errors"]
+    passage = Passage(
+        model_from_dict(content["model"]), tuple(interval_model_from_dict(e, path) for e in errors), content["controller"],
+        content["rho"], content["references"], bool(content["noise"]), tuple(content["rates"]),
+    )  # fmt: skip
+    return Broken(content["claim"], passage, content["signal"], int(content["sample"]), float(content["value"]), content["delta"])
+
+
+def same(found: float, stored: float) -> bool:
+    """Whether a replay has found what the file says."""
+    return abs(found - stored) <= SAME * max(abs(found), abs(stored))
