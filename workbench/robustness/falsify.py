@@ -616,26 +616,31 @@ def _search_inside(trials: _Trials, best: np.ndarray, seed: int) -> None:
 
 
 def _evolve(trials: _Trials, start: np.ndarray, sigma: float, random: np.random.Generator) -> None:
-    """One run of CMA-ES in the unit cube; steps out of it are taken back to its faces."""
-    from cma.boundary_handler import BoundPenalty  # a second to import, and only a search needs it
-    from cma.evolution_strategy import CMAEvolutionStrategy
+    """One run of CMA-ES in the unit cube; what steps out of it is taken back to its faces, where many worst machines are.
+
+    The step out costs its squared length times the spread of the generation: enough to come back, whatever the unit.
+    """
+    from cma.evolution_strategy import CMAEvolutionStrategy  # a second to import, and only a search needs it
 
     n = len(start)
     options = {
-        "bounds": [0.0, 1.0], "BoundaryHandler": BoundPenalty, "popsize": POPULATION, "tolx": 1e-4, "tolfun": 1e-8,
+        "popsize": POPULATION, "tolx": 1e-4, "tolfun": 1e-8, "tolfunhist": 1e-8, "seed": np.nan,
+        "randn": lambda *size: random.standard_normal(size),
         # it neither prints nor writes, and takes no options from a file that lies about
-        "tolfunhist": 1e-8, "seed": np.nan, "randn": lambda *size: random.standard_normal(size), "verbose": -10, "verb_disp": 0,
-        "verb_log": 0, "signals_filename": "",
+        "verbose": -10, "verb_disp": 0, "verb_log": 0, "signals_filename": "",
     }  # fmt: skip
     # it knows no search in one dimension: a second one is added that changes nothing
     strategy = CMAEvolutionStrategy(np.append(start, [0.5] * (n == 1)), sigma, options)
     while trials.room and not trials.lost and not strategy.stop():
         before, points = trials.room, strategy.ask()
-        scores = trials.of(np.array(points)[:, :n]).score
+        inside = np.clip(points, 0.0, 1.0)
+        scores = trials.of(np.ascontiguousarray(inside[:, :n])).score
         if trials.room == before or not trials.room:
             return  # all known: it stands in a corner
+        run = np.isfinite(scores)
+        out = np.sum((np.array(points) - inside) ** 2, axis=1) * (np.ptp(scores[run]) if run.any() else 0.0)
         # a machine that cannot be run is as good as none: below all others, but finite
-        strategy.tell(points, np.where(np.isfinite(scores), -scores, LOST).tolist())
+        strategy.tell(points, np.where(run, out - scores, LOST).tolist())
 
 
 # ---- the file -----------------------------------------------------------------------------------------------------
