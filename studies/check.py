@@ -265,14 +265,17 @@ def _bounds(
         if limit.signal not in (*law.measured, *law.actuated):
             known = ", ".join((*law.measured, *law.actuated))
             raise InputError("not a signal of this loop", file=f"limit of {limit.signal}", mend=f"it has {known}")
-    wanted = [bound for limit in limits.limits for bound in _asked(limit, law, references, channels[limit.signal].unit)]
+    every = [bound for limit in limits.limits for bound in _asked(limit, law, references, channels[limit.signal].unit)]
+    clipped = [bound for bound in every if _by_the_law(law, bound)]
+    wanted = [bound for bound in every if not _by_the_law(law, bound)]
     stops = _stops(law, N)
     rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE) for b in (*wanted, *stops) if b.signal.startswith(RATE)))
     passage = Passage(model, tuple(errors), controller_content(law), rho, references, run.seed is not None, rates)
     progress("the loop along the run")
     own = passage.course(law)
     kept = bounds_kept(own, wanted, stops, of=of, moving=limits.moving, progress=progress)
-    verdicts = []
+    said = "the law itself never commands beyond it"
+    verdicts = [Verdict(bound.claim, of, Status.PROVED, 0.0, bound.unit, said) for bound in clipped]
     for number, k in enumerate(kept, 1):
         verdict = k.verdict
         if verdict.status is Status.FAILED:
@@ -326,6 +329,16 @@ def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bo
             late = since & (t >= arrived - 1e-6 * law.dt)
             found.append(Bound(claim, limit.signal, unit, np.where(late, r - value, -np.inf), np.where(late, r + value, np.inf)))
     return found
+
+
+def _by_the_law(law: ScheduledPID, bound: Bound) -> bool:
+    """Whether a bound on a command is no tighter than the law's own limit."""
+    name = bound.signal.removeprefix(RATE)
+    if name not in law.actuated:
+        return False
+    i = law.actuated.index(name)
+    low, high = (-law.rate[i], law.rate[i]) if bound.signal.startswith(RATE) else (law.low[i], law.high[i])
+    return bool(np.all(bound.low <= low) and np.all(high <= bound.high))
 
 
 def _stops(law: ScheduledPID, N: int) -> list[Bound]:

@@ -12,6 +12,7 @@ from workbench.files import write_json
 from workbench.provenance import provenance
 from workbench.readers import write_csv
 from workbench.robustness.falsify import SAME, Counterexample, load_counterexample
+from workbench.robustness.sequences import is_sequence, load_sequence, same
 
 Say = Callable[[str], None]
 
@@ -24,6 +25,8 @@ def run(options: Namespace, say: Say) -> int:
         if (given := getattr(options, name)) is not None and given is not False and given != []:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{option} goes not with --replay", mend="leave it out: the file holds the whole run")
+    if is_sequence(options.replay):
+        return _run_sequence(options, say)
     stored = load_counterexample(options.replay)
     chosen = _plant(options, stored)
     law = controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base))
@@ -56,6 +59,21 @@ def run(options: Namespace, say: Say) -> int:
         return 1
     say("  the same: the counterexample stands")
     return 0
+
+
+def _run_sequence(options: Namespace, say: Say) -> int:
+    """Parameters of an identified loop, run again; 0 where they give what the file says, else 1."""
+    if options.plant is not None:
+        raise InputError("is of an identified model, which it holds", file=options.replay, mend=f"leave {options.plant} out")
+    stored = load_sequence(options.replay)
+    found = stored.again(lambda content: controller_of(content, options.replay))
+    agrees = same(found, stored.value)
+    say(f"{stored.claim}\n  {stored.sentence} {stored.value:.12g}, found now {found:.12g}")
+    if options.json:
+        source = provenance({"replay": options.replay}, [options.replay], None)
+        write_json(options.json, {"same": agrees, "stored": stored.value, "found": found, "provenance": source})
+    say("  the same: the counterexample stands" if agrees else "  not the same: was the file or the program changed?")
+    return 0 if agrees else 1
 
 
 def _plant(options: Namespace, stored: Counterexample) -> Chosen:
