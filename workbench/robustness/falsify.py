@@ -41,6 +41,7 @@ TOGETHER = 400_000  # samples of runs that are kept in memory at a time
 PROBED = 32  # random corners at which the integrator's steps are counted beforehand
 POPULATION = 16  # as many as run side by side in the compiled step
 NEAR, WIDE = 0.15, 0.3  # first step of a search from the best point and from a random one, in widths of the box
+ENOUGH = 1e-5  # of what a bound allows, below which a search no longer improves and the next one begins
 CORNERS = 0.4  # of the budget, at most, for single numbers going from end to end
 
 
@@ -624,7 +625,7 @@ def _evolve(trials: _Trials, start: np.ndarray, sigma: float, random: np.random.
 
     n = len(start)
     options = {
-        "popsize": POPULATION, "tolx": 1e-4, "tolfun": 1e-8, "tolfunhist": 1e-8, "seed": np.nan,
+        "popsize": POPULATION, "tolx": 1e-4, "tolfun": ENOUGH, "tolfunhist": ENOUGH, "seed": np.nan,
         "randn": lambda *size: random.standard_normal(size),
         # it neither prints nor writes, and takes no options from a file that lies about
         "verbose": -10, "verb_disp": 0, "verb_log": 0, "signals_filename": "",
