@@ -1,0 +1,133 @@
+"""`workbench check` as a user runs it: verdicts, exit codes, files that show what failed, and what wrong input is told."""
+
+import json
+
+import pytest
+
+from controllers.files import save_controller
+from controllers.pid import pid
+from studies.cli import main
+from workbench.data import Dataset
+from workbench.identify.lti import LTI
+from workbench.readers import read
+
+LIMITS = """
+[run]
+duration = 6.0
+[run.setpoints]
+v = [[0.0, 0.0], [2.0, {step}]]
+[limits.v]
+low = {low}
+high = {high}
+[limits.u]
+low = -50.0
+high = 50.0
+[loop]
+stable = true
+{more}
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Records of the robot, a model of them, and a PI law with and without integral action to spare."""
+    folder = tmp_path_factory.mktemp("check")
+    assert main(["simulate", "welding-robot", "--experiment", "prbs", "rbs", "--seed", "3", "--out", str(folder)]) == 0
+    records = [read(folder / f"{name}.csv").with_roles(inputs=("u",), outputs=("v",)) for name in ("prbs", "rbs")]
+    model = LTI(order=2, feedthrough=False).fit(Dataset(tuple(records)))
+    model.save(folder / "lti.json")
+    law = pid(("u",), ("v",), ("v_set",), model.dt, [2.0], [3.0], low=[-60.0], high=[60.0])
+    save_controller(law, folder / "pid.json")
+    return folder
+
+
+def limits(folder, name="limits.toml", step=0.2, low=-0.5, high=0.6, more=""):
+    path = folder / name
+    path.write_text(LIMITS.format(step=step, low=low, high=high, more=more))
+    return str(path)
+
+
+def run(folder, *more, out="out"):
+    wanted = ["check", "--controller", str(folder / "pid.json"), "--out", str(folder / out), *more]
+    return main(wanted), json.loads((folder / out / "check.json").read_text())
+
+
+def on_model(folder):
+    return ["--model", str(folder / "lti.json"), "--records", str(folder / "prbs.csv"), str(folder / "rbs.csv")]
+
+
+def test_limits_with_room_are_proved_on_the_model_and_pass_on_the_plant(folder, capsys):
+    code, found = run(
+        folder, "--limits", limits(folder), *on_model(folder), "--plant", "welding-robot", "--runs", "40", out="good"
+    )
+    said = capsys.readouterr().out
+    assert code == 0, said
+    verdicts = {(v["claim"], v["of"]): v["status"] for v in found["verdicts"]}
+    assert verdicts["stable", "model LTI"] == "PROVED"
+    assert verdicts["v: high 0.6 m/s", "model LTI"] == "PROVED", said
+    assert verdicts["v: low and high", "plant welding-robot"] == "PASSED"
+    assert found["status"] == "PASSED"
+    assert "PROVED" in (folder / "good" / "report.html").read_text()
+    assert "report:" in said
+
+
+def test_what_fails_exits_with_1_and_runs_again(folder, capsys):
+    path = limits(folder, "tight.toml", step=0.4, high=0.38)
+    code, found = run(folder, "--limits", path, *on_model(folder), "--plant", "welding-robot", "--runs", "30", out="bad")
+    assert code == 1
+    failed = [v for v in found["verdicts"] if v["status"] == "FAILED"]
+    assert {v["of"] for v in failed} == {"model LTI", "plant welding-robot"}
+    capsys.readouterr()
+    for v in failed:
+        assert v["margin"] < 0.0
+        again = ["simulate", "--replay", str(folder / "bad" / v["witness"]), "--out", str(folder / "again")]
+        assert main(again) == 0
+        assert "the counterexample stands" in capsys.readouterr().out
+    witness = next(folder / "bad" / v["witness"] for v in failed if v["of"] == "model LTI")
+    content = json.loads(witness.read_text())
+    content["controller"]["Kp"][0][0][0] *= 1.01
+    witness.write_text(json.dumps(content))
+    assert main(["simulate", "--replay", str(witness)]) == 1
+    assert "not the same" in capsys.readouterr().out
+
+
+def test_a_margin_that_is_not_there_fails_or_stays_open(folder):
+    code, found = run(
+        folder, "--limits", limits(folder, "m.toml", more="margin = 1000.0\nmoving = true"), *on_model(folder), out="m"
+    )
+    (verdict,) = [v for v in found["verdicts"] if v["claim"].startswith("stable")]
+    assert verdict["status"] == "FAILED"
+    assert code == 1
+    assert main(["simulate", "--replay", str(folder / "m" / verdict["witness"])]) == 0
+
+
+def test_sensitivity_is_looked_at_where_it_is_asked(folder):
+    for asked, status in ((5.0, "PASSED"), (1.001, "FAILED")):
+        _, found = run(folder, "--limits", limits(folder, "s.toml", more=f"sensitivity = {asked}"), *on_model(folder), out="s")
+        (verdict,) = [v for v in found["verdicts"] if v["claim"].startswith("peak")]
+        assert verdict["status"] == status
+
+
+@pytest.mark.parametrize(
+    ("more", "problem"),
+    [
+        ([], "check on what?"),
+        (["--model", "lti.json"], "go together"),
+        (["--fitted", "d.json"], "check on what?"),
+        (["--plant", "welding-robots"], "did you mean"),
+        (["--plant", "welding-robot", "--limits", "none.toml"], "none.toml"),
+        (["--plant", "welding-robot", "--controller", "lti.json"], "not a controller"),
+    ],
+)
+def test_wrong_input_is_told(folder, capsys, monkeypatch, more, problem):
+    monkeypatch.chdir(folder)
+    wanted = ["check", "--controller", "pid.json", "--limits", limits(folder), *more]
+    assert main(wanted) == 2
+    assert problem in capsys.readouterr().err
+
+
+def test_a_limit_of_a_signal_that_is_not_there_is_told(folder, capsys):
+    path = folder / "w.toml"
+    path.write_text(LIMITS.format(step=0.1, low=-1, high=1, more="").replace("[limits.u]", "[limits.w]"))
+    assert main(["check", "--controller", str(folder / "pid.json"), "--limits", str(path), *on_model(folder)]) == 2
+    assert "not a signal of this loop" in capsys.readouterr().err
