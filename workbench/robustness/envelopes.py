@@ -49,12 +49,14 @@ WIDER = 1e-4  # by which one exchange may widen what is seen, relative
 STARTS = 8  # of the adversary for each question
 SWEEPS = 30
 GUARD = 0.01  # R >= GUARD diag(mu): beyond, rounding decides
-SOFTENED = (0.03, 0.1, 0.3, 1.0)  # of the size of z, added to |z| in the first multipliers
-SMOOTHED = (0, 2, 5, 10)  # samples on both sides over which the slopes of the first multipliers are averaged
+SOFTENED = (0.03, 0.1, 0.3, 1.0, 3.0)  # of the size of z, added to |z| in the first multipliers
+SMOOTHED = (2, 5, 10, 20, 50, 10**6)  # samples on both sides over which the slopes in the first multipliers are averaged
 FORGOTTEN = 1e-4  # share of what the adversary reached that a window may leave to the kernel's box
-SLACK = (1e-9, 1e-7, 1e-5)  # of the bound, spent on making blocks positive definite
+SLACK = (1e-8, 1e-6, 1e-4)  # of the bound, spent on making blocks positive definite
 BLENDED = (0.0, 1e-3, 1e-2, 0.1)  # share of the first multipliers, which are far from where R breaks down, in the proved ones
-EVALUATIONS = 400
+WORK, EVALUATIONS = 500_000, 3000  # samples that the recursion may pass in search of multipliers, and how often it may
+RESTARTED = 0.1  # share of the first multipliers from which the search goes on where it got stuck near the end of what is allowed
+GAINED = 1e-3  # relative decrease of the bound below which it does not
 MEMORY = 30  # pairs of the quasi-Newton method
 SETTLED = 1e-5  # relative decrease of the bound over TAIL steps at which it ends
 TAIL = 10
@@ -441,8 +443,8 @@ class _Ascent:
 class Certificate:
     """side v(instant) <= bound, proved by M (K p) and V_k(d) = d'P d + 2 q'd + c, K + 1 each, from sample `first` to `instant`.
 
-    x (K n): the run that d counts from, of which nothing is assumed. box (n): where `first` is not 0, |x(first) - x[0]| <= box is
-    taken for granted (from the kernel) and nu (n) >= 0 are its multipliers.
+    x (K n): the run that d counts from, of which nothing is assumed. box (n): where `first` is not 0, |x(first) - x[0]| <= box by
+    the kernel, and nu (n) >= 0 are its multipliers.
     """
 
     signal: str
@@ -458,8 +460,11 @@ class Certificate:
     box: np.ndarray = field("n", low=0.0)
     nu: np.ndarray = field("n", low=0.0)
 
-    def holds(self, course: Course) -> bool:
-        """Whether every block is positive definite and the bound is no less than V says, in outward-rounded arithmetic."""
+    def holds(self, course: Course, outer: Kernel | None = None) -> bool:
+        """Whether every block is positive definite and the bound is no less than V says, in outward-rounded arithmetic.
+
+        outer: the kernel of the course, which is what a window rests on; computed where it is needed and not given.
+        """
         K, s = len(self.M), course.number(self.signal)
         n, p = len(course.start), course.f.shape[1]
         k = np.arange(self.first, self.instant + 1)
@@ -505,6 +510,9 @@ class Certificate:
             P, q = exact(self.P[0]), exact(self.q[0])
             value = (d * ((P @ d[:, None])[:, 0] + q * 2.0)).sum() + float(self.c[0])
             return bool((room - value).low >= 0.0)
+        known = (kernel(course) if outer is None else outer).state[self.first]
+        if not np.all(self.box >= known) or not np.array_equal(self.x[0], nominal(course).x[self.first]):
+            return False
         top = exact(np.diag(self.nu)) - self.P[0]
         corner = room - float(self.c[0]) - (exact(self.nu) * (exact(self.box) * self.box)).sum()
         side = exact(-self.q[0])
@@ -580,7 +588,18 @@ def dual(course: Course, found: Reached, question: int = 0, outer: Kernel | None
             best = attempt
     if best is None:
         return None
-    return problem.certified(best, _descended(problem, best))
+    first, left = best, min(EVALUATIONS, max(1, WORK // len(problem.k)))
+    best, left = _descended(problem, first, left)
+    while left > 0:
+        inside = problem.at(problem.blended(best, first, RESTARTED))
+        if inside is None:
+            break
+        former = best
+        best, left = _descended(problem, inside, left - 1)
+        if best.value >= former.value * (1.0 - GAINED):
+            best = min(best, former, key=lambda attempt: attempt.value)
+            break
+    return problem.certified(first, best)
 
 
 class _Path(NamedTuple):
@@ -650,7 +669,8 @@ class _Problem:
     """The bound of one question as a function of its multipliers, and the proof of it."""
 
     def __init__(self, course: Course, signal: int, instant: int, side: float, first: int, outer: Kernel | None):
-        self.course, self.signal, self.instant, self.side, self.first = course, signal, instant, side, first
+        self.course, self.outer = course, outer
+        self.signal, self.instant, self.side, self.first = signal, instant, side, first
         self.k = np.arange(first, instant + 1)
         run, m = nominal(course), course.modes[self.k]
         self.x, self.z, self.base = run.x[self.k], run.z[self.k].copy(), side * float(run.v[instant, signal])
@@ -678,7 +698,7 @@ class _Problem:
 
     def backward(self, M: np.ndarray, mu: np.ndarray, floor: bool = False, slack: np.ndarray | None = None) -> bool:
         """V of every sample into P, q, v; False where R < GUARD diag(mu). floor: M and mu are raised until it is not."""
-        extra = np.zeros(len(self.c) + 1) if slack is None else slack
+        extra = np.zeros(len(self.c) + 2) if slack is None else slack
         return bool(
             _riccati(
                 self.A, self.B, self.C, self.mode, M, mu, self.z, self.c, self.f, extra, GUARD, floor,
@@ -719,6 +739,11 @@ class _Problem:
         M = np.where(self.used, np.exp(x[: K * p]).reshape(K, p), 0.0)
         return M, np.exp(x[K * p :]) if self.first > 0 else np.zeros(len(self.c))
 
+    def blended(self, one: _Attempt, other: _Attempt, share: float) -> np.ndarray:
+        """Logarithms of the multipliers between two, in which the bound is convex."""
+        M, nu = ((1.0 - share) * a + share * b for a, b in zip(self.multipliers(one.x), self.multipliers(other.x), strict=True))
+        return np.log(np.maximum(np.append(M.ravel(), nu), 1e-300))
+
     def bound(self, nu: np.ndarray) -> tuple[float, np.ndarray] | None:
         """The largest V at the first sample of the window, and where; None where it has no bound."""
         value, start = float(self.v[0]), np.zeros(len(self.c))
@@ -737,17 +762,18 @@ class _Problem:
         if self.at(best.x) is None:
             return None
         K, n = len(self.k), len(self.c)
-        # what a slack costs is what it weighs along the run that attains the bound
+        # a share of P, and where P is small of what it would weigh along the run that attains the bound
         size = np.abs(self.d).max(axis=0)
         size = np.maximum(size, max(1e-6 * float(size.max()), 1e-150))
         for blend, share in itertools.product(BLENDED, SLACK):
-            M, nu = (
-                (1.0 - blend) * inside + blend * outside
-                for inside, outside in zip(self.multipliers(best.x), self.multipliers(first.x), strict=True)
-            )
+            M, nu = self.multipliers(self.blended(best, first, blend))
             own = share * max(best.value, 1e-300) / K
             with np.errstate(over="ignore", under="ignore", invalid="ignore", divide="ignore"):
-                found = self.bound(nu) if self.backward(M, self.mu(M), slack=np.append(own / (n * size**2), own)) else None
+                found = (
+                    self.bound(nu)
+                    if self.backward(M, self.mu(M), slack=np.concatenate([own / (n * size**2), [own, share]]))
+                    else None
+                )
             if found is None:
                 continue
             rounding = ROUNDING * n * (abs(self.base) + float(np.abs(self.x[-1]) @ np.abs(self.c)))
@@ -756,18 +782,23 @@ class _Problem:
                 self.course.signals[self.signal], self.instant, int(self.side), self.first, bound, M,
                 0.5 * (self.P + self.P.swapaxes(1, 2)), self.q.copy(), self.v.copy(), self.x, self.box, nu,
             )  # fmt: skip
-            if proof.holds(self.course):
+            if proof.holds(self.course, self.outer):
                 return proof
         return None
 
 
-def _descended(problem: _Problem, best: _Attempt) -> _Attempt:
-    """Quasi-Newton (L-BFGS) with the curvature of each multiplier as the first metric; where R breaks down counts as infinite."""
+def _descended(problem: _Problem, best: _Attempt, most: int) -> tuple[_Attempt, int]:
+    """Quasi-Newton (L-BFGS) with the curvature of each multiplier as the first metric; where R breaks down counts as infinite.
+
+    most: evaluations, of which the second answer is what is left.
+    """
     pairs: list[tuple[np.ndarray, np.ndarray, float]] = []
     values, count = [best.value], 0
-    while count < EVALUATIONS:
+    while count < most:
         curvature = best.curvature + 1e-6 * best.curvature.max()
         step, shares = best.slope.copy(), []
+        if not curvature.max() > 0.0:
+            break  # nothing depends on anything
         for s, y, rho in reversed(pairs):
             shares.append(rho * (s @ step))
             step -= shares[-1] * y
@@ -782,7 +813,7 @@ def _descended(problem: _Problem, best: _Attempt) -> _Attempt:
             continue
         step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-300))
         length, new = 1.0, None
-        while length > 1e-6 and count < EVALUATIONS:
+        while length > 1e-6 and count < most:
             new, count = problem.at(best.x - length * step), count + 1
             if new is not None and new.value <= best.value - 1e-4 * length * float(step @ best.slope):
                 break
@@ -799,7 +830,7 @@ def _descended(problem: _Problem, best: _Attempt) -> _Attempt:
         values.append(best.value)
         if len(values) > TAIL and values[-TAIL - 1] - best.value < SETTLED * best.value:
             break
-    return best
+    return best, most - count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -904,6 +935,7 @@ def _riccati(A, B, C, mode, M, mu, z, c_end, f_end, slack, guard, floor, P, q, v
                     P[k, i, j] += weighted * own[h, j]
         for i in range(n):
             q[k, i] = seen[i]
+            P[k, i, i] *= 1.0 + slack[n + 1]
             for j in range(i):
                 P[k, i, j] = P[k, j, i]
         v[k] = value

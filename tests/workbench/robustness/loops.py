@@ -1,6 +1,7 @@
 """Interval models and laws for the tests of robustness, and the machine that they stand for, sample by sample."""
 
 import numpy as np
+from scipy.signal import cont2discrete
 
 from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
@@ -9,6 +10,8 @@ from workbench.intervals.domains import Box
 from workbench.intervals.model import IntervalModel, Mode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionAll, ParameterBox
+from workbench.robustness.envelopes import Course
+from workbench.robustness.loop import close
 
 DT = 0.1
 
@@ -75,3 +78,38 @@ def machine_run(models, law, delta, start, rho=None):
         for name, value in zip(law.actuated, command, strict=True):
             u[name].append(value)
     return {name: np.array(values)[before[name] :] for name, values in y.items()}, {n: np.array(v) for n, v in seen.items()}
+
+
+def lagged_machine(share, gains=(10.0, 8.0, 0.5)):
+    """(s + 2.3)/(s^2 + 6.6 s + 1.67)/(0.08 s + 1) in delta form, every coefficient `share` wide, under P, I, D with a filter."""
+    b, a, _ = cont2discrete(([1.0, 2.3], np.polymul([1.0, 6.6, 1.67], [0.08, 1.0])), DT)
+    form = ARX(order=3, bias=False).form("y", ["u"])
+    past = zip(form.source.astype(int), form.lags.astype(int), strict=True)
+    row = np.array([-a[lag] if source == 0 else np.ravel(b)[lag] for source, lag in past])
+    theta = np.linalg.solve(form.T.T, row - form.d)
+    own = model("y", ("u",), ARX(order=3, bias=False), theta, share * np.abs(theta))
+    P, I, D = ([one] for one in gains)  # noqa: E741
+    return own, pid(("u",), ("y",), ("r",), DT, P, I, D, Tf=0.1)
+
+
+def steps(N, period=150):
+    """A set-point that jumps between levels of both signs."""
+    half, level = np.arange(N) // period, np.arange(N) // (2 * period) % 3
+    return np.where(half % 2 == 0, 1.0, -1.0) * (0.5 + 0.25 * level)
+
+
+def lagged_course(share, gains=(10.0, 8.0, 0.5), N=2250) -> Course:
+    """The loop of `lagged_machine` from rest along `steps`; y and u are watched."""
+    own, one = lagged_machine(share, gains)
+    loop, system = close([own], one), one.at(None)
+    drive = np.zeros(len(loop.A))
+    drive[3], drive[6:] = np.asarray(system.D)[0, 0], np.asarray(system.B)[:, 0]
+    drive[4] = drive[3]  # the change from the command before is as much larger
+    into = loop.balance()
+    moved, back, r = loop.moved(into), np.linalg.inv(into), steps(N)
+    seen = [0, 3]  # the newest y and u after the step
+    return Course(
+        moved.A[None], moved.B[None], moved.C[None], (loop.A[seen] @ back)[None], loop.B[seen][None], loop.lam[None],
+        loop.channel, np.zeros(N), np.outer(r, into @ drive), np.outer(r, drive[seen]), np.zeros((N, len(loop.lam))),
+        np.zeros(len(loop.A)), ("y", "u"),
+    )  # fmt: skip
