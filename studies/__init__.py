@@ -40,6 +40,12 @@ def _controller_comparison() -> ModuleType:
     return controller_comparison
 
 
+def _robust_winding() -> ModuleType:
+    from studies import robust_winding
+
+    return robust_winding
+
+
 STUDIES: dict[str, Callable[[], ModuleType]] = {
     "web-winding": _web_winding,
     "welding-robot": _welding_robot,
@@ -47,4 +53,5 @@ STUDIES: dict[str, Callable[[], ModuleType]] = {
     "winding-records": _winding_records,
     "hidden-effects": _hidden_effects,
     "controller-comparison": _controller_comparison,
+    "robust-winding": _robust_winding,
 }

@@ -32,8 +32,7 @@ from workbench.report import figures
 from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
 from workbench.robustness.envelopes import Course, kernel, nominal
 from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
-from workbench.robustness.limits import SAME_TIME, Limit, LoopLimits, load_limits, resolved
-from workbench.robustness.limits import Course as Manoeuvre
+from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved
 from workbench.robustness.loop import driven, machine_with_errors
 from workbench.robustness.margins import Margin, margin
 from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence, same
@@ -286,13 +285,8 @@ def _bounds(
 
 def _references(run: Manoeuvre, law: Any) -> np.ndarray:
     """Set-points (N, nr) in the law's order."""
-    if missing := [output for output in law.measured[: len(law.references)] if output not in run.setpoints]:
-        raise InputError(f"no set-point for {', '.join(missing)}", file="limits", mend="give one in [run.setpoints]")
-    t, columns = law.dt * np.arange(round(run.duration / law.dt)), []
-    for output in law.measured[: len(law.references)]:
-        times, values = np.array(run.setpoints[output], dtype=float).T
-        columns.append(values[np.searchsorted(times, t + SAME_TIME * law.dt, side="right") - 1])
-    return np.column_stack(columns)
+    own = run.references(law, law.dt)
+    return np.column_stack([own[name] for name in law.references])
 
 
 def _schedule(model: LPVModel, law: Any, run: Manoeuvre, chosen: Chosen | None, N: int) -> np.ndarray:

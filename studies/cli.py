@@ -244,7 +244,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "study",
         metavar="STUDY",
-        help="web-winding, welding-robot, emps, winding-records, hidden-effects, controller-comparison",
+        help="web-winding, welding-robot, emps, winding-records, hidden-effects, controller-comparison, robust-winding",
     )
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")

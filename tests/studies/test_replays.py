@@ -12,7 +12,7 @@ from plants import WELDING_ROBOT
 from studies.cli import main
 from workbench.readers import read
 from workbench.robustness.falsify import Dimension, tolerance_box, worst_plant
-from workbench.robustness.limits import Course, Limit
+from workbench.robustness.limits import Limit, Manoeuvre
 
 LAW = pid(("u",), ("v",), ("v_set",), 0.02, Kp=[[6.0]], Ki=[[8.0]], low=(-4.0,), high=(4.0,))
 SPY = """
@@ -24,10 +24,10 @@ PLANT = PLANTS["welding-robot"]
 
 
 def found(plant=WELDING_ROBOT):
-    course = Course(4.0, {"v": ((0.0, 0.0), (0.5, 0.4), (2.5, -0.3))}, seed=3)
+    manoeuvre = Manoeuvre(4.0, {"v": ((0.0, 0.0), (0.5, 0.4), (2.5, -0.3))}, seed=3)
     box = (*tolerance_box(plant), Dimension("level", 0.0, 0.3, effect="coulomb@rail"))
     limits = [Limit("v", high=0.42), Limit("v", band=0.02, settling=1.0)]
-    return worst_plant(plant, LAW, course.scenario(plant, LAW), limits, box, runs=30)
+    return worst_plant(plant, LAW, manoeuvre.scenario(plant, LAW), limits, box, runs=30)
 
 
 @pytest.fixture(scope="module")

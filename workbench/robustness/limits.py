@@ -137,7 +137,7 @@ class Limit:
 
 
 @record
-class Course:
+class Manoeuvre:
     """A run that limits are kept through: duration [s], set-points by output, each (time [s], value) from time 0 on.
 
     start: values that replace those of the plant's equilibrium; seed: of noise and disturbance as in the plant, None for none.
@@ -148,24 +148,27 @@ class Course:
     start: Mapping[str, float] = field(default_factory=dict)
     seed: int | None = None
 
-    def scenario(self, plant: Plant, controller: Loop, name: str = "limits") -> Scenario:
-        """The run of a plant under a controller, whose outputs must all have a set-point, and no others."""
+    def references(self, controller: Loop, dt: float, name: str = "limits") -> dict[str, np.ndarray]:
+        """Set-points (N,) of a controller by name, every dt seconds; its outputs must all have one, and no others."""
         source = dict(zip(controller.references, controller.measured, strict=False))
         for output in self.setpoints:
             check_known("output of the controller", output, source.values(), file=name)
-        for start in self.start:
-            check_known("state or input", start, (*plant.state_names, *plant.input_names), file=name)
         if missing := [output for output in source.values() if output not in self.setpoints]:
             raise InputError(f"no set-point for {', '.join(missing)}", file=name, mend="give one in [run.setpoints]")
-        t = plant.dt * np.arange(round(self.duration / plant.dt))
+        t = dt * np.arange(round(self.duration / dt))
         if len(t) < 2:
-            raise InputError(f"duration {self.duration:g} s", file=name, mend=f"at least two samples of {plant.dt:g} s")
-        references = {}
+            raise InputError(f"duration {self.duration:g} s", file=name, mend=f"at least two samples of {dt:g} s")
+        found = {}
         for reference, output in source.items():
             times, values = np.array(self.setpoints[output], dtype=float).T
-            at = np.searchsorted(times, t + SAME_TIME * plant.dt, side="right") - 1
-            references[reference] = values[at]
-        return Scenario(name, references, self.seed, dict(self.start))
+            found[reference] = values[np.searchsorted(times, t + SAME_TIME * dt, side="right") - 1]
+        return found
+
+    def scenario(self, plant: Plant, controller: Loop, name: str = "limits") -> Scenario:
+        """The run of a plant under a controller."""
+        for start in self.start:
+            check_known("state or input", start, (*plant.state_names, *plant.input_names), file=name)
+        return Scenario(name, self.references(controller, plant.dt, name), self.seed, dict(self.start))
 
 
 @record
@@ -177,7 +180,7 @@ class LoopLimits:
     """
 
     limits: tuple[Limit, ...] = ()
-    run: Course | None = None
+    run: Manoeuvre | None = None
     stable: bool = True
     margin: float | None = None
     sensitivity: float | None = None
@@ -228,7 +231,7 @@ def load_limits(path: str | Path) -> LoopLimits:
     except OSError as reason:
         raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
     top = _Table(path, "", content, TABLES)
-    run = _course(top.table("run", RUN)) if "run" in content else None
+    run = _manoeuvre(top.table("run", RUN)) if "run" in content else None
     named = top.table("limits", None)
     limits = tuple(_limit(named.table(name, LIMIT), name, run) for name in named.content)
     loop = top.table("loop", LOOP)
@@ -297,7 +300,7 @@ def _kind(value: Any) -> str:
     return "a list" if isinstance(value, list) else f"a {type(value).__name__}"
 
 
-def _course(run: _Table) -> Course:
+def _manoeuvre(run: _Table) -> Manoeuvre:
     duration, seed = run.positive("duration"), run.content.get("seed")
     if duration is None:
         raise InputError("[run] duration is missing", file=run.file, mend="give the seconds of the run: duration = 20.0")
@@ -308,7 +311,7 @@ def _course(run: _Table) -> Course:
     start = run.table("start", None)
     setpoints = run.table("setpoints", None)
     values = {name: start.number(name) or 0.0 for name in start.content}
-    return Course(duration, {name: _steps(setpoints, name, duration) for name in setpoints.content}, values, seed)
+    return Manoeuvre(duration, {name: _steps(setpoints, name, duration) for name in setpoints.content}, values, seed)
 
 
 def _steps(table: _Table, name: str, duration: float) -> tuple[tuple[float, float], ...]:
@@ -334,7 +337,7 @@ def _steps(table: _Table, name: str, duration: float) -> tuple[tuple[float, floa
     return tuple(pairs)
 
 
-def _limit(own: _Table, name: str, run: Course | None) -> Limit:
+def _limit(own: _Table, name: str, run: Manoeuvre | None) -> Limit:
     low, high, rate, band = own.number("low"), own.number("high"), own.positive("rate"), own.positive("band")
     settling, begin, unit = own.time("settling"), own.time("begin"), own.content.get("unit", "")
     if low is not None and high is not None and low > high:

@@ -16,7 +16,7 @@ from workbench.physics.extension import extension
 from workbench.physics.plant import Parameter, Plant, Start
 from workbench.robustness import falsify
 from workbench.robustness.falsify import Dimension, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
-from workbench.robustness.limits import Course, Limit
+from workbench.robustness.limits import Limit, Manoeuvre
 from workbench.simulate import Scenario, simulate
 
 # ---- worst cases in closed form -------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def test_a_run_that_leaves_the_range_is_the_worst_and_can_be_stored(tmp_path):
 # ---- machines of the workbench --------------------------------------------------------------------------
 
 ROBOT_LAW = pid(("u",), ("v",), ("v_set",), 0.02, Kp=[[6.0]], Ki=[[8.0]], low=(-4.0,), high=(4.0,))
-COURSE = Course(4.0, {"v": ((0.0, 0.0), (0.5, 0.4), (2.5, -0.3))}, seed=3)
+COURSE = Manoeuvre(4.0, {"v": ((0.0, 0.0), (0.5, 0.4), (2.5, -0.3))}, seed=3)
 ROBOT_SCENARIO = COURSE.scenario(WELDING_ROBOT, ROBOT_LAW)
 ROBOT_LIMITS = (Limit("v", low=-0.5, high=0.42), Limit("v", band=0.02, settling=1.0), Limit("u", rate=200.0))
 ROBOT_BOX = (

@@ -7,7 +7,7 @@ from plants import WEB_WINDING, WELDING_ROBOT
 from studies.experiments import web_winding_loops
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
-from workbench.robustness.limits import BOUNDS, Course, Limit, load_limits, resolved
+from workbench.robustness.limits import BOUNDS, Limit, Manoeuvre, load_limits, resolved
 
 T = 0.5 * np.arange(8)  # 0 to 3.5 s
 
@@ -101,16 +101,16 @@ def test_a_limit_that_keeps_nothing_is_refused():
 
 def test_the_run_of_a_file_steps_at_its_own_samples():
     law = web_winding_loops()
-    course = Course(20.0, {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0), (4.84, 5.0), (10.01, 2.0))}, {"r2": 0.02}, 3)
+    course = Manoeuvre(20.0, {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0), (4.84, 5.0), (10.01, 2.0))}, {"r2": 0.02}, 3)
     found = course.scenario(WEB_WINDING, law)
     assert (len(found), found.seed, found.start) == (500, 3, {"r2": 0.02})
     np.testing.assert_array_equal(found.references["w3_set"], 100.0)
     np.testing.assert_array_equal(np.flatnonzero(np.diff(found.references["theta_set"])) + 1, [121, 251])  # 121 * 0.04 is 4.84
     for other, message in (
-        (Course(20.0, {"w3": ((0.0, 1.0),)}), "no set-point for theta"),
-        (Course(20.0, {**course.setpoints, "w33": ((0.0, 1.0),)}), "unknown output of the controller"),
-        (Course(20.0, course.setpoints, {"r3": 1.0}), "unknown state or input"),
-        (Course(0.05, course.setpoints), "at least two samples"),
+        (Manoeuvre(20.0, {"w3": ((0.0, 1.0),)}), "no set-point for theta"),
+        (Manoeuvre(20.0, {**course.setpoints, "w33": ((0.0, 1.0),)}), "unknown output of the controller"),
+        (Manoeuvre(20.0, course.setpoints, {"r3": 1.0}), "unknown state or input"),
+        (Manoeuvre(0.05, course.setpoints), "at least two samples"),
     ):
         with pytest.raises(InputError, match=message):
             other.scenario(WEB_WINDING, law)
