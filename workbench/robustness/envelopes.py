@@ -49,13 +49,17 @@ WIDER = 1e-4  # by which one exchange may widen what is seen, relative
 STARTS = 8  # of the adversary for each question
 SWEEPS = 30
 GUARD = 0.01  # R >= GUARD diag(mu): beyond, rounding decides
-SOFTENED = (0.03, 0.1, 0.3, 1.0, 3.0)  # of the size of z, added to |z| in the first multipliers
+SOFTENED = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the size of z, added to |z| in the first multipliers
 SMOOTHED = (2, 5, 10, 20, 50, 10**6)  # samples on both sides over which the slopes in the first multipliers are averaged
+SPARED = 20  # samples at least that a window spares
 FORGOTTEN = 1e-4  # share of what the adversary reached that a window may leave to the kernel's box
-SLACK = (1e-8, 1e-6, 1e-4)  # of the bound, spent on making blocks positive definite
+PAID = 1e-6  # of the bound, spent on the corners of blocks and on the last one
+SLACK = (1e-8, 1e-6, 1e-4, 1e-10)  # of the bound, spent on P, which may cost more: a later P is carried into the earlier ones
+RAISED = (1e-8, 1e-7, 1e-10)  # by how much more P is raised in every block, relative
 BLENDED = (0.0, 1e-3, 1e-2, 0.1)  # share of the first multipliers, which are far from where R breaks down, in the proved ones
 WORK, EVALUATIONS = 500_000, 3000  # samples that the recursion may pass in search of multipliers, and how often it may
 RESTARTED = 0.1  # share of the first multipliers from which the search goes on where it got stuck near the end of what is allowed
+TRIED = 2  # first multipliers that are searched from, until one leads to a proof
 GAINED = 1e-3  # relative decrease of the bound below which it does not
 MEMORY = 30  # pairs of the quasi-Newton method
 SETTLED = 1e-5  # relative decrease of the bound over TAIL steps at which it ends
@@ -580,16 +584,21 @@ def dual(course: Course, found: Reached, question: int = 0, outer: Kernel | None
     signal, instant = int(found.signal[question]), int(found.instant[question])
     side, delta = float(found.side[question]), found.delta[question]
     path = _along(course, signal, instant, side, delta)
-    problem = _Problem(course, signal, instant, side, _first(path, instant, outer), outer)
-    best = None
-    for M in _first_multipliers(course, path, problem.k):
-        attempt = problem.started(M)
-        if attempt is not None and (best is None or attempt.value < best.value):
-            best = attempt
-    if best is None:
-        return None
-    first, left = best, min(EVALUATIONS, max(1, WORK // len(problem.k)))
-    best, left = _descended(problem, first, left)
+    first = _first(path, instant, outer)
+    for begin in (first, 0) if first > 0 else (0,):  # a window may forget what the first multipliers need
+        problem = _Problem(course, signal, instant, side, begin, outer)
+        starts = [problem.started(M) for M in _first_multipliers(course, path, problem.k)]
+        starts = sorted((attempt for attempt in starts if attempt is not None), key=lambda attempt: attempt.value)
+        for start in starts[:TRIED]:
+            proof = problem.certified(start, _searched(problem, start))
+            if proof is not None:
+                return proof
+    return None
+
+
+def _searched(problem: "_Problem", first: "_Attempt") -> "_Attempt":
+    """Descended from the first multipliers, and again from between them and the end, where R is about to break down."""
+    best, left = _descended(problem, first, min(EVALUATIONS, max(1, WORK // len(problem.k))))
     while left > 0:
         inside = problem.at(problem.blended(best, first, RESTARTED))
         if inside is None:
@@ -597,9 +606,8 @@ def dual(course: Course, found: Reached, question: int = 0, outer: Kernel | None
         former = best
         best, left = _descended(problem, inside, left - 1)
         if best.value >= former.value * (1.0 - GAINED):
-            best = min(best, former, key=lambda attempt: attempt.value)
-            break
-    return problem.certified(first, best)
+            return min(best, former, key=lambda attempt: attempt.value)
+    return best
 
 
 class _Path(NamedTuple):
@@ -653,7 +661,7 @@ def _first(path: _Path, instant: int, outer: Kernel | None) -> int:
         return 0
     share = np.cumsum(np.abs(path.w * path.influence).sum(axis=1))
     first = int(np.searchsorted(share, FORGOTTEN * share[-1]))
-    return first if np.isfinite(outer.state[first]).all() else 0
+    return first if first >= SPARED and np.isfinite(outer.state[first]).all() else 0
 
 
 class _Attempt(NamedTuple):
@@ -765,19 +773,19 @@ class _Problem:
         # a share of P, and where P is small of what it would weigh along the run that attains the bound
         size = np.abs(self.d).max(axis=0)
         size = np.maximum(size, max(1e-6 * float(size.max()), 1e-150))
-        for blend, share in itertools.product(BLENDED, SLACK):
+        for blend, raised, share in itertools.product(BLENDED, RAISED, SLACK):
             M, nu = self.multipliers(self.blended(best, first, blend))
-            own = share * max(best.value, 1e-300) / K
+            own, paid = (part * max(best.value, 1e-300) / K for part in (share, PAID))
             with np.errstate(over="ignore", under="ignore", invalid="ignore", divide="ignore"):
                 found = (
                     self.bound(nu)
-                    if self.backward(M, self.mu(M), slack=np.concatenate([own / (n * size**2), [own, share]]))
+                    if self.backward(M, self.mu(M), slack=np.concatenate([own / (n * size**2), [paid, raised]]))
                     else None
                 )
             if found is None:
                 continue
             rounding = ROUNDING * n * (abs(self.base) + float(np.abs(self.x[-1]) @ np.abs(self.c)))
-            bound = self.base + found[0] + share * abs(found[0]) + rounding
+            bound = self.base + found[0] + PAID * abs(found[0]) + rounding
             proof = Certificate(
                 self.course.signals[self.signal], self.instant, int(self.side), self.first, bound, M,
                 0.5 * (self.P + self.P.swapaxes(1, 2)), self.q.copy(), self.v.copy(), self.x, self.box, nu,
