@@ -23,8 +23,10 @@ def test_every_code_block_runs(page, tmp_path, monkeypatch):
     names: dict = {"__name__": "page"}
     try:
         for language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
-            assert language in ("python", "sh"), f"a block of {page.name} names no language that is run here: {language!r}"
-            if language == "python":
+            assert language in ("python", "sh", "toml"), f"a block of {page.name} names no language that is run here: {language!r}"
+            if language == "toml":  # a file, which its first line names
+                Path(re.match(r"# (\w+\.toml)\n", code)[1]).write_text(code, encoding="utf-8")
+            elif language == "python":
                 if title := re.match(r"# (\w+\.py)\n", code):
                     Path(title[1]).write_text(code, encoding="utf-8")
                 exec(compile(code, f"{page.name}", "exec"), names)  # the page's own code, not input
@@ -39,9 +41,10 @@ def test_every_code_block_runs(page, tmp_path, monkeypatch):
 def run_commands(code):
     for line in code.splitlines():
         for command in line.split("&&"):
+            command, _, negative = command.partition("||")  # || true: the answer is no, exit code 1
             words = shlex.split(command)
             if words[:1] == ["workbench"] and words[1:] != ["study", "web-winding"]:  # that one has a test of its own
-                assert main(words[1:]) == 0, line
+                assert main(words[1:]) == (1 if negative.strip() else 0), line
 
 
 def test_the_add_a_plant_example_is_about_forty_lines():
