@@ -23,7 +23,7 @@ def test_every_code_block_runs(page, tmp_path, monkeypatch):
     names: dict = {"__name__": "page"}
     try:
         for language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
-            assert language in ("python", "sh", "toml"), f"a block of {page.name} names no language that is run here: {language!r}"
+            assert language in ("python", "sh", "toml"), f"a block of {page.name} that nothing runs: {language!r}"
             if language == "toml":  # a file, which its first line names
                 Path(re.match(r"# (\w+\.toml)\n", code)[1]).write_text(code, encoding="utf-8")
             elif language == "python":

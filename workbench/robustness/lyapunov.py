@@ -1,35 +1,41 @@
 """Stability while the schedule moves: x'P(rho) x falls at every sample for |rho+ - rho| <= rate and every parameter in the boxes.
 
-P(rho) is linear between nodes, A(rho) and the columns b lam are quadratic in a cell (gains times a model, each linear). For one
-cell
+P(rho) is linear between nodes, A(rho) and the columns b lam are quadratic there (gains times a model, each linear). In a cell let
+l run from 0 to 1, and let M = [A B], B = kappa b_j lam_i in column i. With a matrix W for each cell and multipliers D_i >= 0,
 
-    f = P(rho) - A(rho, delta)'P(rho+) A(rho, delta)
+    f(l) = [P(l) - C'D C, 0; 0, D] - M(l)'(P(l) + W) M(l) > 0   and   P(rho+) <= P(rho) + W wherever the rate lets rho+ lie
 
-is concave in A where P(rho+) >= 0 and linear in (P, P+), so it is positive everywhere if it is at the corners: those of the pairs
-(rho, rho+), six within the cell and one across each of its ends, times the three Bernstein points of A, which hold the curve in
-their hull. Each is one block with its own multipliers D_i >= 0, without the corners of the box of parameters:
+are enough. f is a polynomial of degree 5 and lies in the hull of its Bernstein coefficients: six blocks, each with its own D,
+say so for every l. They follow the curve, and do not set every A of a cell against every P of it, so that what a cell costs falls
+with the square of its width. On its way from a cell the schedule crosses that cell and those within reach, by `rate` in all, so
 
-    [P - A'P+ A - C'D C, -A'P+ B; -B'P+ A, D - B'P+ B] > 0,   B = kappa b_j lam_i in column i
+    W >= +- rate (P_1 - P_0) / width,   W >= rate (slope of P in a cell above),   W >= -rate (slope of P in a cell below)
 
-The distance of the nodes is the lever: a cell is charged for all of its plants at once. A common P for all of the schedule is one
-cell with P equal at both ends.
+A common P for all of the schedule is one cell with P equal at both ends.
 """
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from math import comb
+from typing import Any
 
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.intervals.arithmetic import exact, positive_definite
+from workbench.intervals.arithmetic import Interval, exact, positive_definite
 from workbench.records import field, record
 from workbench.robustness.loop import UncertainLoop
-from workbench.robustness.margins import falls
 from workbench.robustness.semidefinite import Block, maximise, symmetric
 
 TRIED = (0.11, 0.25, 0.68, 0.87)  # of a cell, where it is tried whether a loop is quadratic
 QUADRATIC = 1e-9  # by which a loop may differ from the quadratic through three of its values, relative to its size
-STEP = 1.1  # ratio of the bounds at which a search ends
+DEGREE = 5  # of f: one of P, two of each M
+FIRST = 1.1  # ratio of `beyond` to the kappa that a search begins with
+STEP = 1.05  # ratio of the bounds at which a search ends
+SOLVED = 8  # programs that a search solves at most
+ACCURACY = 1e-6  # of the program: what it ends with is asked how far it reaches
+INSIDE = 1e-6  # by which kappa stays below what a P reaches in floating point, so that it can be proved
 
 
 @record
@@ -44,13 +50,17 @@ class ScheduledLoop:
     columns: np.ndarray = field("M n p")
     C: np.ndarray = field("p n")
 
-    def bernstein(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
-        """A (3 n n) and columns (3 n p) whose hull holds those of the cell."""
-        return tuple(_hull(M[2 * cell : 2 * cell + 3]) for M in (self.A, self.columns))  # type: ignore[return-value]
+    def at(self, rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A (.., n, n) and columns (.., n, p) of the quadratics at schedule values (..), which must lie within the nodes."""
+        cell = np.clip(np.searchsorted(self.nodes, rho, side="right") - 1, 0, len(self.nodes) - 2)
+        share = (np.asarray(rho) - self.nodes[cell]) / np.diff(self.nodes)[cell]
+        weight = np.stack([(1.0 - share) ** 2, 2.0 * share * (1.0 - share), share**2], axis=-1)[..., None, None]
+        A, columns = ((np.stack(hull(M), axis=1)[cell] * weight).sum(axis=-3) for M in (self.A, self.columns))
+        return A, columns
 
 
 def scheduled_loop(
-    at: Callable[[float], UncertainLoop], nodes: Sequence[float], kinks: Sequence[float] | np.ndarray = ()
+    at: Callable[[float], UncertainLoop], nodes: Sequence[float] | np.ndarray, kinks: Sequence[float] | np.ndarray = ()
 ) -> ScheduledLoop:
     """The loops at(rho) between the nodes, in coordinates that suit the middle one.
 
@@ -72,14 +82,13 @@ def scheduled_loop(
         if np.abs(loop.C - C).max() > QUADRATIC * np.abs(C).max():
             raise InputError(f"z is another function of the state at {value:g}", file="scheduled_loop")
     found = ScheduledLoop(rho, A, columns, C)
-    for cell, low in enumerate(rho[:-1]):
-        for share, kind in itertools.product(TRIED, range(2)):
-            between = at(float(low + share * (rho[cell + 1] - low))).moved(own)
-            hull, exact_value = found.bernstein(cell)[kind], (between.A, between.columns)[kind]
-            quadratic = (1 - share) ** 2 * hull[0] + 2 * share * (1 - share) * hull[1] + share**2 * hull[2]
-            if np.abs(quadratic - exact_value).max() > QUADRATIC * max(np.abs(exact_value).max(), 1e-300):
+    for cell, share in itertools.product(range(len(rho) - 1), TRIED):
+        value = float(rho[cell] + share * (rho[cell + 1] - rho[cell]))
+        between = at(value).moved(own)
+        for quadratic, true in zip(found.at(np.array(value)), (between.A, between.columns), strict=True):
+            if np.abs(quadratic - true).max() > QUADRATIC * max(np.abs(true).max(), 1e-300):
                 raise InputError(
-                    f"the loop is not quadratic between {low:g} and {rho[cell + 1]:g}",
+                    f"the loop is not quadratic between {rho[cell]:g} and {rho[cell + 1]:g}",
                     file="scheduled_loop",
                     mend="put a node where a gain table has one, and end the schedule where another mode begins",
                 )
@@ -88,130 +97,178 @@ def scheduled_loop(
 
 @record
 class ScheduledCertificate:
-    """P (K n n) at the nodes, D (cells 8 3 p) of every block, for kappa times the boxes and `rate` a sample; see the module."""
+    """P (K n n) at the nodes, W (cells n n) and D (cells 6 p), for kappa times the boxes and `rate` a sample; see the module."""
 
     kappa: float
-    rate: float
+    rate: float = field("", low=0.0)
     P: np.ndarray = field("K n n")
-    D: np.ndarray = field("cells 8 3 p", low=0.0)
+    W: np.ndarray = field("cells n n")
+    D: np.ndarray = field("cells 6 p", low=0.0)
 
     def holds(self, loop: ScheduledLoop) -> bool:
         """Whether that is proved in outward-rounded arithmetic, for the quadratics through the loop's numbers."""
-        K = len(loop.nodes)
-        if self.P.shape != (K, *loop.A.shape[1:]) or self.D.shape != (K - 1, 8, 3, len(loop.C)):
+        K, n, p = len(loop.nodes), loop.A.shape[1], len(loop.C)
+        if self.P.shape != (K, n, n) or self.W.shape != (K - 1, n, n) or self.D.shape != (K - 1, DEGREE + 1, p):
             return False
-        if not np.array_equal(self.P, self.P.swapaxes(1, 2)) or not positive_definite(self.P).all():
+        if any(not np.array_equal(M, M.swapaxes(1, 2)) for M in (self.P, self.W)) or not positive_definite(self.P).all():
             return False
-        if not 0.0 <= self.rate <= np.diff(loop.nodes).min():
+        P, W = exact(self.P), exact(self.W)
+        if self.rate > 0.0:
+            slope = (P[1:] - P[:-1]) / (exact(loop.nodes[1:]) - loop.nodes[:-1])[:, None, None] * self.rate
+            cell, crossed, sign = moves(loop.nodes, self.rate)
+            if not positive_definite(W[cell] - slope[crossed] * sign[:, None, None]).all():
+                return False
+        elif self.W.any():
             return False
-        for cell in range(K - 1):
-            A, columns = loop.bernstein(cell)
-            for pair, (now, then) in pairs(loop.nodes, cell, self.rate):
-                P, P_then = self._at(now), self._at(then)
-                for j in range(3):
-                    B = exact(columns[j]) * self.kappa
-                    if not falls(P, P_then, A[j], B, loop.C, self.D[cell, pair, j]):
-                        return False
+        M = [_beside(A, B * self.kappa) for A, B in zip(hull(exact(loop.A)), hull(exact(loop.columns)), strict=True)]
+        ends = P[:-1], P[1:]
+        for k in range(DEGREE + 1):
+            first = (ends[0] * (DEGREE - k) + ends[1] * k) / DEGREE - loop.C.T @ (exact(self.D[:, k])[:, :, None] * loop.C)
+            block = _cornered(first, self.D[:, k])
+            for end, i, j, share in products(k):
+                block = block - _transposed(M[i]) @ ((ends[end] + W) @ M[j]) * share.numerator / share.denominator
+            if not positive_definite(block).all():
+                return False
         return True
-
-    def _at(self, weights: np.ndarray):
-        """P between nodes, enclosed."""
-        (used,) = np.nonzero(weights)
-        total = exact(self.P[used[0]]) * float(weights[used[0]])
-        for i in used[1:]:
-            total = total + exact(self.P[i]) * float(weights[i])
-        return total
-
-
-def pairs(nodes: np.ndarray, cell: int, rate: float) -> Iterator[tuple[int, tuple[np.ndarray, np.ndarray]]]:
-    """Weights (K) of P(rho) and P(rho+) at the corners of what the schedule may do from a cell; numbered 0 to 7."""
-    K, width = len(nodes), np.diff(nodes)
-    share = rate / width[cell]
-
-    def weights(at: float, of: int) -> np.ndarray:
-        found = np.zeros(K)
-        found[of], found[of + 1] = 1.0 - at, at
-        return found
-
-    within = [(0.0, 0.0), (0.0, share), (share, 0.0), (1.0, 1.0), (1.0, 1.0 - share), (1.0 - share, 1.0)]
-    for number, (now, then) in enumerate(within):
-        yield number, (weights(now, cell), weights(then, cell))
-    if cell + 2 < K:
-        yield 6, (weights(1.0, cell), weights(rate / width[cell + 1], cell + 1))
-    if cell > 0:
-        yield 7, (weights(0.0, cell), weights(1.0 - rate / width[cell - 1], cell - 1))
 
 
 def certificate(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertificate | None:
-    """The certificate for kappa times the boxes, proved; or none where it was not found."""
-    K, n, p = len(loop.nodes), loop.A.shape[1], len(loop.C)
-    if not 0.0 <= rate <= np.diff(loop.nodes).min():
-        raise InputError(f"rate {rate:g} a sample", file="certificate", mend="from 0 to the shortest distance of two nodes")
-    size = np.linalg.norm(loop.C, axis=1)  # z of size 1: multipliers of one order
-    size[size == 0.0] = 1.0
-    C, scaled = loop.C / size[:, None], kappa * loop.columns * size
-    E = symmetric(n)
-    m = len(E)
-    total, blocks, places = K * m, [], []
-    for cell in range(K - 1):
-        A, _ = loop.bernstein(cell)
-        B = _hull(scaled[2 * cell : 2 * cell + 3])
-        after = [_carried(E, A[j], B[j]) for j in range(3)]
-        for pair, (now, then) in pairs(loop.nodes, cell, rate):
-            (used,) = np.nonzero(now + then)
-            for j in range(3):
-                F = np.zeros((len(used) * m + p + 1, n + p, n + p))
-                for k, node in enumerate(used):
-                    F[k * m : (k + 1) * m] = -then[node] * after[j]
-                    F[k * m : (k + 1) * m, :n, :n] += now[node] * E
-                own = F[len(used) * m : -1]
-                own[:, :n, :n] = -np.einsum("ia,ib->iab", C, C)
-                own[np.arange(p), n + np.arange(p), n + np.arange(p)] = 1.0
-                F[-1, :n, :n] = -np.eye(n)
-                at = np.concatenate([*(node * m + np.arange(m) for node in used), total + np.arange(p), [-1]])
-                places.append((cell, pair, j, total))
-                blocks.append((F, at))
-                total += p
-    middle = np.zeros(total + 1)
-    middle[(K // 2) * m : (K // 2 + 1) * m] = np.trace(E, axis1=1, axis2=2)
-    whole = [Block(np.zeros((n + p, n + p)), F, np.where(at < 0, total, at)) for F, at in blocks]
-    cap = Block(np.ones((1, 1)), -np.ones((1, 1, 1)), np.array([total]))  # t <= 1
-    x = maximise(np.eye(total + 1)[-1], [*whole, cap], (middle[None], np.array([float(n)])))
-    if x is None:
-        return None
-    P = np.tensordot(x[: K * m].reshape(K, m), E, 1)
-    D = np.zeros((K - 1, 8, 3, p))
-    for cell, pair, j, at in places:
-        D[cell, pair, j] = np.maximum(x[at : at + p], 0.0) / size**2
-    found = ScheduledCertificate(kappa, rate, P, D)
-    return found if found.holds(loop) else None
+    """A certificate for kappa times the boxes or more, proved; or none where it was not found."""
+    found = _reaching(loop, kappa, rate)
+    return found if found is not None and found.kappa >= kappa and found.holds(loop) else None
 
 
 def largest(loop: ScheduledLoop, rate: float, beyond: float, step: float = STEP) -> ScheduledCertificate:
-    """The certificate of the largest kappa below `beyond`, within the ratio `step`."""
-    low = beyond / step
-    while (best := certificate(loop, low, rate)) is None:
-        low /= step**2
-        if low < 1e-3 * beyond:
-            raise InputError(
-                f"no certificate for a schedule that moves by {rate:g} a sample",
-                file="largest",
-                mend="more nodes, or a lower rate",
-            )
-    high = best.kappa * step**2 if low < beyond / step else beyond
-    while high / best.kappa > step * (1.0 + 1e-9):
-        kappa = float(np.sqrt(high * best.kappa))
-        found = certificate(loop, kappa, rate)
-        high, best = (kappa, best) if found is None else (high, found)
+    """The certificate of the largest kappa below `beyond`, within the ratio `step` of what the program is found to allow.
+
+    A P that fails for the kappa it was made for still holds for a smaller one: a handful of programs is enough.
+    """
+    high, kappa, best = beyond, beyond / FIRST, None
+    for _ in range(SOLVED):
+        found = _reaching(loop, kappa, rate)
+        if found is None or found.kappa < kappa:
+            high = kappa
+        if found is not None and (best is None or found.kappa > best.kappa) and found.holds(loop):
+            best = found
+        if best is not None and high / best.kappa <= step:
+            break
+        kappa = 0.5 * high if best is None else float(np.sqrt(high * best.kappa))
+    if best is None:
+        raise InputError(
+            f"no certificate for a schedule that moves by {rate:g} a sample", file="largest", mend="more nodes, or a lower rate"
+        )
     return best
 
 
-def _hull(three: np.ndarray) -> np.ndarray:
-    """Bernstein points of the quadratic through the values at both ends and in the middle of a cell."""
-    return np.stack([three[0], 2.0 * three[1] - 0.5 * (three[0] + three[2]), three[2]])
+def _reaching(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertificate | None:
+    """P, W and D from the program for kappa, with the largest kappa that they reach in floating point; or none.
+
+    The blocks are to be >= t diag(1, 0), t as large as can be; trace P = n in the middle. With D = kappa^2 E a block is
+
+        [R - kappa^2 C'E C, -S; -S', E - T],   so that kappa^2 C'E C < R - S (E - T)^-1 S' says how far it reaches.
+    """
+    K, n, p = len(loop.nodes), loop.A.shape[1], len(loop.C)
+    width = np.diff(loop.nodes)
+    if not rate >= 0.0:
+        raise InputError(f"rate {rate:g} a sample", file="certificate", mend="0 or more, in units of the schedule")
+    size = np.linalg.norm(loop.C, axis=1)  # z of size 1: multipliers of one order
+    size[size == 0.0] = 1.0
+    C = loop.C / size[:, None]
+    M = np.concatenate([np.stack(hull(part), axis=1) for part in (loop.A, kappa * loop.columns * size)], axis=3)
+    E = symmetric(n)
+    m = len(E)
+    start = {"W": K * m, "D": (K + (K - 1) * (rate > 0.0)) * m}  # of the variables: every P, W by cell, D by cell and block, t
+    t = start["D"] + (K - 1) * (DEGREE + 1) * p
+    blocks = [Block(np.ones((1, 1)), -np.ones((1, 1, 1)), np.array([t]))]  # t <= 1
+    of_C, of_D, of_t = np.zeros((p, n + p, n + p)), np.arange(p), np.zeros((1, n + p, n + p))
+    of_C[:, :n, :n], of_C[of_D, n + of_D, n + of_D] = -np.einsum("ia,ib->iab", C, C), 1.0
+    of_t[0, :n, :n] = -np.eye(n)
+    E_then = np.zeros((m, n + p, n + p))
+    E_then[:, :n, :n] = E
+    entries = np.arange(m)
+    for cell in range(K - 1):
+        own, step = cell * m + entries, start["W"] + cell * m + entries
+        for k in range(DEGREE + 1):
+            after = np.zeros((2, m, n + p, n + p))
+            for end, i, j, share in products(k):
+                after[end] += float(share) * (M[cell, i].T @ E @ M[cell, j])
+            share = k / DEGREE
+            F = [(1.0 - share) * E_then - after[0], share * E_then - after[1], of_C, of_t]
+            at = [own, own + m, start["D"] + (cell * (DEGREE + 1) + k) * p + of_D, [t]]
+            if rate > 0.0:
+                F.append(-rate / width[cell] * after.sum(axis=0))
+                at.append(step)
+            blocks.append(Block(np.zeros((n + p, n + p)), np.concatenate(F), np.concatenate(at)))
+    for cell, by, sign in zip(*moves(loop.nodes, rate), strict=True) if rate > 0.0 else ():
+        along = sign * width[cell] / width[by]  # W of the program is width / rate times W, and of the size of P
+        F = [E, -along * E, along * E, -np.eye(n)[None]]
+        at = [start["W"] + cell * m + entries, (by + 1) * m + entries, by * m + entries, [t]]
+        blocks.append(Block(np.zeros((n, n)), np.concatenate(F), np.concatenate(at)))
+    trace = np.zeros(t + 1)
+    trace[(K // 2) * m + entries] = np.trace(E, axis1=1, axis2=2)
+    x = maximise(np.eye(t + 1)[-1], blocks, (trace[None], np.array([float(n)])), ACCURACY)
+    if x is None:
+        return None
+    P = np.tensordot(x[: K * m].reshape(K, m), E, 1)
+    W = np.zeros((K - 1, n, n))
+    if rate > 0.0:
+        W = np.tensordot(x[start["W"] : start["D"]].reshape(K - 1, m), E, 1) * (rate / width)[:, None, None]
+    D = np.maximum(x[start["D"] : t].reshape(K - 1, DEGREE + 1, p), 0.0) / kappa**2
+    reached = np.inf
+    M[..., n:] /= kappa
+    for k in range(DEGREE + 1):
+        R = np.zeros((K - 1, n + p, n + p))
+        for end, i, j, share in products(k):
+            R -= float(share) * (M[:, i].mT @ (P[end : K - 1 + end] + W) @ M[:, j])
+        R[:, :n, :n] += P[:-1] * (1.0 - k / DEGREE) + P[1:] * (k / DEGREE)
+        R[:, n + of_D, n + of_D] += D[:, k]
+        if np.linalg.eigvalsh(R)[:, 0].min() <= 0.0:
+            return None
+        rest = R[:, :n, :n] - R[:, :n, n:] @ np.linalg.solve(R[:, n:, n:], R[:, n:, :n])
+        into = np.linalg.inv(np.linalg.cholesky(0.5 * (rest + rest.mT))) @ C.T * np.sqrt(D[:, k])[:, None, :]
+        reached = min(reached, float(np.linalg.norm(into, 2, axis=(1, 2)).max()) ** -1)
+    reached *= 1.0 - INSIDE
+    return ScheduledCertificate(reached, rate, P, W, reached**2 * D / size**2)
 
 
-def _carried(E: np.ndarray, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """[A B]'E [A B] of every basis matrix."""
-    M = np.hstack([A, B])
-    return M.T @ E @ M
+def moves(nodes: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each way to move: the cell that it begins in, a cell that it may cross, and 1 upwards, -1 downwards."""
+    cells = range(len(nodes) - 1)
+    # a difference that is below the rate is not above it when rounded
+    up = [(c, by, 1.0) for c in cells for by in cells if by == c or (by > c and nodes[by] - nodes[c + 1] <= rate)]
+    down = [(c, by, -1.0) for c in cells for by in cells if by == c or (by < c and nodes[c] - nodes[by + 1] <= rate)]
+    cell, crossed, sign = zip(*up, *down, strict=True)
+    return np.array(cell), np.array(crossed), np.array(sign)
+
+
+def products(k: int) -> Iterator[tuple[int, int, int, Fraction]]:
+    """(l, i, j, share) with which M_i'P_l M_j stands in coefficient k of M'P M: of degree 1 in P, of degree 2 in each M."""
+    for end, i, j in itertools.product(range(2), range(3), range(3)):
+        if end + i + j == k:
+            yield end, i, j, Fraction(comb(2, i) * comb(2, j), comb(DEGREE, k))
+
+
+def hull(M: Any) -> tuple[Any, Any, Any]:
+    """Bernstein points of the quadratics through the values (2 K - 1, ..) at both ends and in the middle of every cell.
+
+    Three of shape (cells, ..), which hold the curve in their hull; of intervals or of floats.
+    """
+    return M[:-1:2], 2.0 * M[1::2] - 0.5 * (M[:-1:2] + M[2::2]), M[2::2]
+
+
+def _beside(a: Interval, b: Interval) -> Interval:
+    return Interval(np.concatenate([a.low, b.low], axis=-1), np.concatenate([a.high, b.high], axis=-1))
+
+
+def _cornered(first: Interval, last: np.ndarray) -> Interval:
+    """[first, 0; 0, diag(last)], (.., n + p, n + p)."""
+    n, p = first.shape[-1], last.shape[-1]
+    low = np.zeros((*last.shape[:-1], n + p, n + p))
+    low[..., n + np.arange(p), n + np.arange(p)] = last
+    high = low.copy()
+    low[..., :n, :n], high[..., :n, :n] = first.low, first.high
+    return Interval(low, high)
+
+
+def _transposed(x: Interval) -> Interval:
+    return Interval(x.low.swapaxes(-1, -2), x.high.swapaxes(-1, -2))

@@ -267,10 +267,10 @@ def certified(loop: UncertainLoop, beyond: float) -> Certificate:
         high, low = low, low / 2.0
         if low < 1e-6 * beyond:
             raise InputError("no certificate, not even of the middle of the boxes", file="UncertainLoop")
-    # a P that falls over one sample falls over two: the longest products that are few enough are all that is asked for
-    steps = next((steps for steps in (2, 1) if steps * len(loop.lam) <= MOST_CORNERS), 0)
-    best = _search(loop, high, best, lambda kappa, _: _by_multipliers(loop, kappa), ROUGH if steps else CLOSE)
-    return _search(loop, beyond, best, _Corners(loop, steps)) if steps else best
+    # two samples at a time gain some 5 %; the corners of a single one gain a hundredth or two and cost most of the time
+    products = 2 * len(loop.lam) <= MOST_CORNERS
+    best = _search(loop, high, best, lambda kappa, _: _by_multipliers(loop, kappa), ROUGH if products else CLOSE)
+    return _search(loop, beyond, best, _Corners(loop, 2)) if products else best
 
 
 def _held(found: Certificate | None, loop: UncertainLoop) -> Certificate | None:
@@ -447,8 +447,24 @@ class _Carried(NamedTuple):
 
 
 def _carried(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> _Carried:
-    S, L, _ = delta.shape
-    A = loop.at(kappa * delta)
+    at = orbits(loop.at(kappa * delta))
+    return _Carried(at.size, np.real((at.left @ loop.columns) * (at.right @ loop.C.T)))
+
+
+class Orbits(NamedTuple):
+    """Of S periodic sequences of matrices A (S L n n): the largest modulus of a pole over one period (S) and its eigenvectors.
+
+    left, right (S L n): Re(left' dA right) is the slope of log |pole| along a change dA of the matrix at that sample, times
+    |pole|^2 > 0; left is that of the sample after, and 0 where the pole is double and has one direction only.
+    """
+
+    size: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+
+def orbits(A: np.ndarray) -> Orbits:
+    S, L, n, _ = A.shape
     whole = A[:, 0]
     for k in range(1, L):
         whole = A[:, k] @ whole
@@ -456,16 +472,15 @@ def _carried(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> _Carried:
     row, at = np.arange(S), np.abs(values).argmax(axis=1)
     largest = values[row, at]
     others, left = np.linalg.eig(whole.swapaxes(1, 2))
-    x = right[row, :, at]
+    x = start = right[row, :, at]
     back = left[row, :, np.abs(others - largest[:, None]).argmin(axis=1)]
-    seen = np.empty((S, L, len(loop.C)), dtype=complex)
+    across = np.einsum("sn,sn->s", back, start)
+    back = back * np.where(across == 0.0, 0.0, np.conj(largest) / np.where(across == 0.0, 1.0, across))[:, None]
+    seen, pushed = np.empty((S, L, n), dtype=complex), np.empty((S, L, n), dtype=complex)
     for k in range(L):
-        seen[:, k] = x @ loop.C.T
+        seen[:, k] = x
         x = (A[:, k] @ x[..., None])[..., 0]
-    across = np.einsum("sn,sn->s", back, right[row, :, at])  # 0 where a pole is double and has one direction only
-    scale = np.where(across == 0.0, 0.0, np.conj(largest) / np.where(across == 0.0, 1.0, across))
-    slope = np.empty(delta.shape)
     for k in reversed(range(L)):
-        slope[:, k] = np.real(scale[:, None] * (back @ loop.columns) * seen[:, k])
+        pushed[:, k] = back
         back = (back[:, None, :] @ A[:, k])[:, 0]
-    return _Carried(np.abs(largest), slope)
+    return Orbits(np.abs(largest), pushed, seen)

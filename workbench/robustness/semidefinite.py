@@ -23,7 +23,12 @@ class Block:
     at: np.ndarray = field("m")
 
 
-def maximise(c: np.ndarray, blocks: Sequence[Block], equal: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray | None:
+def maximise(
+    c: np.ndarray,
+    blocks: Sequence[Block],
+    equal: tuple[np.ndarray, np.ndarray] | None = None,
+    accuracy: float = ACCURACY,
+) -> np.ndarray | None:
     """x that Clarabel ends with, or None; equal: rows (r, len(c)) and values (r) of rows x = values."""
     import clarabel as compiled  # its names are not visible to the type checker
     from scipy import sparse
@@ -43,7 +48,7 @@ def maximise(c: np.ndarray, blocks: Sequence[Block], equal: tuple[np.ndarray, np
         cones.append(clarabel.PSDTriangleConeT(block.F0.shape[0]))
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ACCURACY
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = accuracy
     n = len(c)
     solver = clarabel.DefaultSolver(
         sparse.csc_matrix((n, n)), -np.asarray(c, dtype=float), sparse.vstack(rows, format="csc"), np.concatenate(values), cones,

@@ -5,13 +5,14 @@ from scipy.signal import cont2discrete
 
 from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
+from plants import WELDING_ROBOT
 from workbench.data import Channel
 from workbench.intervals.domains import Box
 from workbench.intervals.model import IntervalModel, Mode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionAll, ParameterBox
 from workbench.robustness.envelopes import Course
-from workbench.robustness.loop import close
+from workbench.robustness.loop import UncertainLoop, close
 
 DT = 0.1
 
@@ -113,3 +114,33 @@ def lagged_course(share, gains=(10.0, 8.0, 0.5), N=2250) -> Course:
         loop.channel, np.zeros(N), np.outer(r, into @ drive), np.outer(r, drive[seen]), np.zeros((N, len(loop.lam))),
         np.zeros(len(loop.A)), ("y", "u"),
     )  # fmt: skip
+
+
+def robot(nodes):
+    """at(mass) of the welding robot under a scheduled PID law, linear between the nodes: 9 states, 6 parameters of 10 %.
+
+    The platform's mass m is the schedule, the arm assembly stays as it is. From the two equations of the plant
+
+        v1 / u = (m2 s + c + b2) / ((m s + b1 + c) (m2 s + c + b2) - c^2),
+
+    seen through a filter 1 / (0.08 s + 1), sampled at 0.1 s. The centres of its delta form are those of the machine at the nodes
+    and linear between, and so are the radii; the gains grow with the mass, which keeps the loop gain where the mass decides it.
+    """
+    value = {parameter.name: parameter.value for parameter in WELDING_ROBOT.parameters}
+    form = ARX(order=3, bias=False)
+    T, d = form.form("v", ["u"]).T, form.form("v", ["u"]).d
+
+    def centre(mass):
+        arm = np.array([value["m2"], value["c"] + value["b2"]])
+        bottom = np.polysub(np.polymul([mass, value["b1"] + value["c"]], arm), [value["c"] ** 2])
+        b, a, _ = cont2discrete((arm, np.polymul(bottom, [0.08, 1.0])), DT)
+        return np.linalg.solve(T.T, np.concatenate([-a[1:], b.ravel()[1:]]) - d)
+
+    centres = np.array([centre(mass) for mass in nodes])
+
+    def at(mass) -> UncertainLoop:
+        own = np.array([np.interp(mass, nodes, column) for column in centres.T])
+        kind = pid(("u",), ("v",), ("r",), DT, [10.0 * mass], [8.0 * mass], [0.5 * mass], Tf=0.1)
+        return close([model("v", ("u",), form, own, 0.1 * np.abs(own))], kind)
+
+    return at

@@ -1,13 +1,15 @@
 """Certificates over the schedule: exact where the answer is known, true of every run, and rejected when broken."""
 
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 import pytest
 
+from tests.workbench.robustness.loops import robot
 from workbench.errors import InputError
 from workbench.robustness.loop import UncertainLoop
-from workbench.robustness.lyapunov import ScheduledCertificate, certificate, largest, pairs, scheduled_loop
+from workbench.robustness.lyapunov import ScheduledCertificate, certificate, largest, moves, products, scheduled_loop
 from workbench.robustness.margins import margin
 
 
@@ -61,28 +63,35 @@ def test_a_faster_schedule_leaves_less_and_no_rate_is_the_frozen_bound():
 
 
 def test_more_nodes_come_nearer():
-    kappas = [largest(scheduled_loop(turning, np.linspace(0.0, 1.0, count)), 1e-3, 12.0, 1.03).kappa for count in (2, 5)]
-    assert kappas[1] > 1.05 * kappas[0]
+    """The robot as it is between the lightest and the heaviest platform: a P of one piece does not do, one of three does."""
+    at = robot([0.7, 1.5])
+    assert certificate(scheduled_loop(at, [0.7, 1.5]), 1.4, 0.002) is None
+    assert certificate(scheduled_loop(at, [0.7, 0.95, 1.2, 1.5]), 1.4, 0.002) is not None
 
 
-def test_the_corners_hold_what_the_schedule_may_do():
-    """Every (rho, rho+) within the rate is a mean of the corners of its cell: their weights on the nodes say which."""
-    from scipy.optimize import linprog
+def test_the_blocks_are_the_coefficients_of_what_they_prove():
+    """M(l)'P(l) M(l) summed from the products, against the polynomial itself."""
+    random = np.random.default_rng(2)
+    P, M = random.normal(size=(2, 3, 3)), random.normal(size=(3, 3, 4))
+    for share in random.uniform(size=5):
+        bernstein = [[comb(d, k) * share**k * (1.0 - share) ** (d - k) for k in range(d + 1)] for d in (1, 2, 5)]
+        own, along = np.tensordot(bernstein[0], P, 1), np.tensordot(bernstein[1], M, 1)
+        summed = sum(bernstein[2][k] * float(w) * M[i].T @ P[e] @ M[j] for k in range(6) for e, i, j, w in products(k))
+        np.testing.assert_allclose(summed, along.T @ own @ along)
 
-    rate, random = 0.07, np.random.default_rng(2)
-    nodes = np.array([0.0, 0.1, 0.3, 0.6, 1.0])
 
-    def hats(at):
-        return np.array([np.interp(at, nodes, row) for row in np.eye(5)])
-
-    for _ in range(200):
-        rho = random.uniform(0.0, 1.0)
-        after = np.clip(rho + random.uniform(-rate, rate), 0.0, 1.0)
-        cell = min(int(np.searchsorted(nodes, rho, side="right")) - 1, 3)
-        corners = np.array([np.concatenate(pair) for _, pair in pairs(nodes, cell, rate)])
-        target = np.concatenate([hats(rho), hats(after)])
-        found = linprog(np.zeros(len(corners)), A_eq=np.vstack([corners.T, np.ones(len(corners))]), b_eq=np.append(target, 1.0))
-        assert found.success
+@pytest.mark.parametrize("rate", [0.07, 0.25, 2.0])
+def test_what_the_schedule_crosses_is_charged(rate):
+    """P(rho+) - P(rho) of every move is at most the W that `moves` asks for; P of one number, over cells of unequal width."""
+    random, nodes = np.random.default_rng(2), np.array([0.0, 0.1, 0.3, 0.6, 1.0])
+    P = random.normal(size=5)
+    cell, crossed, sign = moves(nodes, rate)
+    W = np.full(4, -np.inf)
+    np.maximum.at(W, cell, rate * sign * (np.diff(P) / np.diff(nodes))[crossed])
+    rho = random.uniform(0.0, 1.0, 2000)
+    after = np.clip(rho + random.uniform(-rate, rate, 2000), 0.0, 1.0)
+    change = np.interp(after, nodes, P) - np.interp(rho, nodes, P)
+    assert np.all(change <= W[np.searchsorted(nodes, rho, side="right") - 1] + 1e-12)
 
 
 def test_a_broken_certificate_is_rejected():
@@ -91,9 +100,14 @@ def test_a_broken_certificate_is_rejected():
     assert good.holds(loop)
     assert not replace(good, kappa=3.0 * good.kappa).holds(loop)
     assert not replace(good, rate=0.125).holds(loop)
-    assert not replace(good, rate=0.2).holds(loop)  # beyond a cell the pairs say nothing
+    assert not replace(good, W=0.0 * good.W).holds(loop)
+    assert not replace(good, W=-good.W).holds(loop)
+    assert not replace(good, rate=0.0).holds(loop)  # W for a schedule that stands still is 0
     assert not replace(good, D=0.0 * good.D).holds(loop)
-    assert not replace(good, D=good.D[:-1]).holds(loop)
+    W = good.W.copy()
+    W[3, 0, 1] *= 1.0 + 1e-9  # not symmetric
+    assert not replace(good, W=W).holds(loop)
+    assert not replace(good, W=good.W[:-1], D=good.D[:-1]).holds(loop)
     for i in range(len(NODES)):
         P = good.P.copy()
         P[i] = -P[i]
@@ -118,7 +132,7 @@ def test_odd_schedules_are_refused():
     with pytest.raises(InputError, match="another function of the state"):
         scheduled_loop(lambda rho: replace(scalar(rho), C=np.array([[1.0 + rho]])), NODES)
     with pytest.raises(InputError, match="rate"):
-        certificate(scheduled_loop(scalar, NODES), 1.0, 0.2)
+        certificate(scheduled_loop(scalar, NODES), 1.0, -0.2)
     with pytest.raises(InputError, match="no certificate for a schedule"):
         largest(scheduled_loop(lambda rho: replace(scalar(0.0), A=np.array([[0.7 + 0.4 * rho]])), NODES), 0.01, 1.0)
 
