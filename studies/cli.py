@@ -237,6 +237,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--lags", type=_positive, default=1, help="samples of y and u that errors may depend on (default 1)")
     sub.add_argument("--bound", metavar="E,E", help="largest error of each output beyond its parameters (default: the model's)")
     sub.add_argument("--nodes", type=_positive, default=5, help="schedule values at which stability is proved (default 5)")
+    sub.add_argument("--rate", type=float, metavar="R", help="prove stability while the schedule moves by up to R a second too")
     sub.add_argument("--runs", type=_positive, help="runs of the plant for each limit (default 400, 40 for an MPC)")
     sub.add_argument("--seed", type=_seed, default=0, help="seed of the searches (default 0)")
 

@@ -16,8 +16,8 @@ of the law. Some of it may be superfluous (past inputs that a law remembers too)
 all the same.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -302,6 +302,23 @@ def machine_with_errors(model: LPVModel, errors: Sequence[IntervalModel], rho: f
     """
     weight = model.weights(np.array([_within(model, rho)]))[0]
     return _with_errors(model, errors, weight, _within(model, rho))
+
+
+def interpolated(
+    machines: Sequence[Machine], nodes: Sequence[float] | np.ndarray, law: LinearLaw
+) -> Callable[[float], UncertainLoop]:
+    """The loop at a schedule value, of the machine linear between those at the nodes: what `lyapunov` can certify in motion."""
+    rho = np.asarray(nodes, dtype=float)
+
+    def at(value: float) -> UncertainLoop:
+        i = int(np.clip(np.searchsorted(rho, value, side="right") - 1, 0, len(rho) - 2))
+        share = (value - rho[i]) / (rho[i + 1] - rho[i])
+        first, last = machines[i], machines[i + 1]
+        numbers = {f.name: getattr(first, f.name) for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)}
+        between = {name: (1.0 - share) * own + share * getattr(last, name) for name, own in numbers.items()}
+        return driven(replace(first, **between), law, value).undriven()
+
+    return at
 
 
 def machines_along(model: LPVModel, errors: Sequence[IntervalModel], rho: np.ndarray) -> Iterator[Machine]:

@@ -47,6 +47,7 @@ class Verdict:
     """claim: what is said of the loop; margin [unit]: signed, NaN where there is none; sentence: what it rests on.
 
     of: what the claim is about, the identified model or the simulated plant. witness: the file that shows it, "" for none.
+    every: what is proved that every run stays between, where that is known.
     """
 
     claim: str
@@ -56,6 +57,7 @@ class Verdict:
     unit: str
     sentence: str
     witness: str = ""
+    every: tuple[float, float] | None = None
 
     def __str__(self) -> str:
         amount = "" if math.isnan(self.margin) else f" ({self.margin:+.3g}{self.unit and ' ' + self.unit})"
@@ -262,14 +264,17 @@ def _judged(
     reached, v, delta = float(excess[row, k]), tried.v[row], tried.delta[row]
     beyond = _excess(furthest.v, bound, i, np.full(len(furthest.v), len(course)))
 
+    asked = np.isfinite(bound.low) | np.isfinite(bound.high)
+    half = outer.half[:, i]
+    every = (float((run[:, i] - half)[asked].min()), float((run[:, i] + half)[asked].max())) if free == len(course) else None
+
     def kept(status: Status, margin: float, said: str) -> Kept:
-        return Kept(bound, Verdict(bound.claim, of, status, margin, unit, said), v, delta)
+        return Kept(bound, Verdict(bound.claim, of, status, margin, unit, said, every=every), v, delta)
 
     moves = "parameters that move" if tried is furthest else "constant parameters"
     if reached > 0.0:
         return kept(Status.FAILED, -reached, f"{moves} within their boxes bring it to {v[k, i]:.4g} {unit} at sample {k}")
     if until == len(course) and free == len(course):
-        half = outer.half[:, i]
         left = max(float(np.minimum(run[:, i] - half - bound.low, bound.high - run[:, i] - half).min()), 0.0)
         said = (
             f"whatever the parameters do at {len(course)} samples; the worst run found leaves {-float(beyond.max()):.3g} {unit}"
@@ -278,6 +283,8 @@ def _judged(
     said = f"proved up to sample {until} of {len(course)}" if until < len(course) else "proved for the linear law"
     if free < len(course):
         said += f", but from sample {free} on a command may be at its stop"
+    elif every is not None:
+        said += f"; every run stays within {every[0]:.4g} to {every[1]:.4g} {unit}"
     said += f"; {moves} leave {-reached:.3g} {unit}"
     if tried is not furthest:
         worse = float(beyond.max())
