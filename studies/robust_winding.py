@@ -103,14 +103,12 @@ def main(
         _checked(name, law, model, errors, folder, nodes, runs, seed, progress, rate if name == bench.scheduled else None)
         for name, law in laws.items()
     ]
-    pids = {name: law for name, law in designed.laws.items() if isinstance(law, ScheduledPID)}
     sections = [
         Section("Verdicts", tuple(_verdicts(law) for law in checked)),
-        Section("Margins over the radius", _margins(model, errors, pids, nodes, progress)),
-        *(Section(f"{law.name} along the run", law.on_model.blocks[1:]) for law in checked if len(law.on_model.blocks) > 1),
+        *(Section(f"{law.name} on the identified model", law.on_model.blocks) for law in checked if law.on_model.blocks),
         *(Section(f"{law.name} on the worst machine", law.on_plant.blocks) for law in checked),
     ]
-    scheduled = next(law for name, law in pids.items() if name == bench.scheduled)
+    scheduled: Any = designed.laws[bench.scheduled]
     sections.append(Section("Searched and tried at random", _against_random(model, errors, scheduled, quick, seed, progress)))
     sections.append(Section("One more record", _more_records(model, records, scheduled, progress)))
     tightened = _tightened(model, errors, designed.laws, folder, runs, quick, seed, progress)
@@ -197,30 +195,6 @@ def _verdicts(law: Law) -> Table:
 
 def _margin(model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, rho: float) -> Margin:
     return margin(driven(machine_with_errors(model, errors, rho), law, rho).undriven())
-
-
-def _margins(
-    model: LPVModel, errors: Sequence[IntervalModel], laws: Mapping[str, ScheduledPID], nodes: int, progress: Say
-) -> tuple[Block, ...]:
-    """Proved, refuted and standing still, over the radius."""
-    rho = np.linspace(model.span[0], model.span[1], max(nodes, 2))
-    curves: dict[str, dict[str, np.ndarray]] = {"proved": {}, "refuted by moving parameters": {}, "standing still": {}}
-    for name, law in laws.items():
-        progress(f"{name}: margins")
-        found = [_margin(model, errors, law, float(value)) for value in rho]
-        for panel, values in zip(
-            curves,
-            ([m.certified.kappa for m in found], [m.falsified.kappa for m in found], [m.frozen.kappa for m in found]),
-            strict=True,
-        ):
-            curves[panel][name] = np.array(values)
-    assert model.schedule is not None
-    said = (
-        "How many times as wide the boxes of the errors may be, with the radius standing still. Proved: whatever the parameters "
-        "do at every sample. Refuted: a periodic sequence of parameters that the loop does not survive. Standing still: constant "
-        "ones."
-    )
-    return (figures.over_schedule("Margins over the radius", figures.Trace(model.schedule, rho), curves, said),)
 
 
 # ---- search against chance ----------------------------------------------------------------------------------------------
