@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from controllers.files import controller_content, controller_of, load_controller
-from controllers.pid_design import worst_margins
+from controllers.pid_design import frequencies, worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import DEFAULT
 from studies.arguments import Chosen, choose_plant, run_folder, trusted_plant
@@ -34,10 +34,21 @@ from workbench.robustness.envelopes import Course, kernel, nominal
 from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved
 from workbench.robustness.loop import driven, interpolated, machine_with_errors
-from workbench.robustness.margins import Margin, margin
+from workbench.robustness.margins import Margin, corners, disk_margin, margin
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence, same
-from workbench.robustness.verdict import Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
+from workbench.robustness.verdict import (
+    CORNERS,
+    MOST_CONSTANT,
+    Bound,
+    Kept,
+    Status,
+    Verdict,
+    bounds_kept,
+    overall,
+    refuting,
+    stability,
+)
 from workbench.simulate import Scenario, simulate
 
 Say = Callable[[str], None]
@@ -174,6 +185,8 @@ def on_model(
         verdicts, blocks = [*verdicts, *own], [*blocks, *picture]
     if limits.sensitivity is not None:
         verdicts.append(_sensitivity(model, law, limits.sensitivity, of))
+    if limits.disk is not None:
+        verdicts.append(_disk(model, errors, law, limits.disk, nodes, of))
     if limits.limits and limits.run is not None:
         own, pictures = _bounds(model, errors, law, limits, chosen, folder, of, progress)
         verdicts, blocks = [*verdicts, *own], [*blocks, *pictures]
@@ -290,6 +303,31 @@ def _sensitivity(model: LPVModel, law: ScheduledPID, asked: float, of: str) -> V
     status = Status.PASSED if largest <= asked else Status.FAILED
     said = f"the largest |S| of the model itself is {largest:.3g} at {len(grid)} schedule values{where}"
     return Verdict(f"peak |S| at most {asked:g}", of, status, asked - largest, "", said)
+
+
+def _disk(
+    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, asked: float, nodes: int, of: str
+) -> Verdict:  # fmt: skip
+    """The least disk margin at the plant input, of constant parameters at corners of the boxes."""
+    omega, least = frequencies(model.dt, 3), (np.inf, None)
+    middle = np.inf
+    for rho in [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist():
+        machine, K = machine_with_errors(model, errors, rho), law.response(omega, rho)
+        moving = np.flatnonzero(np.abs(machine.T).max(axis=1) > 0.0)
+        random = np.random.default_rng(0)
+        at = corners(len(moving)) if len(moving) <= MOST_CONSTANT else random.choice([-1.0, 1.0], (CORNERS, len(moving)))
+        tried = np.vstack([np.zeros(len(moving)), at])
+        stable = np.abs(np.linalg.eigvals(driven(machine, law, rho).undriven().at(tried))).max(axis=1) < 1.0
+        for number, corner in enumerate(tried):
+            delta = np.zeros(len(machine.lam))
+            delta[moving] = corner
+            own = disk_margin(K @ machine.response(omega, law.actuated, law.measured, delta)) if stable[number] else 0.0
+            least = min(least, (own, rho), key=lambda pair: pair[0])
+            middle = min(middle, own) if number == 0 else middle
+    where = f", at {_told(model, least[1])}" if least[1] is not None else ""
+    status = Status.PASSED if least[0] >= asked else Status.FAILED
+    said = f"{least[0]:.3g} at the worst corner of the boxes{where}, {middle:.3g} in the middle of them; constant parameters"
+    return Verdict(f"disk margin at least {asked:g}", of, status, least[0] - asked, "", said)
 
 
 def _bounds(

@@ -131,3 +131,15 @@ def test_a_limit_of_a_signal_that_is_not_there_is_told(folder, capsys):
     path.write_text(LIMITS.format(step=0.1, low=-1, high=1, more="").replace("[limits.u]", "[limits.w]"))
     assert main(["check", "--controller", str(folder / "pid.json"), "--limits", str(path), *on_model(folder)]) == 2
     assert "not a signal of this loop" in capsys.readouterr().err
+
+
+def test_the_disk_margin_of_the_worst_corner_counts(folder):
+    """Below that of the middle of the boxes, and refused where it is asked beyond what a disk margin can be."""
+    for asked, status in ((0.05, "PASSED"), (1.99, "FAILED")):
+        _, found = run(folder, "--limits", limits(folder, "d.toml", more=f"disk = {asked}"), *on_model(folder), out="d")
+        (verdict,) = [v for v in found["verdicts"] if v["claim"].startswith("disk")]
+        assert verdict["status"] == status
+        words = verdict["sentence"].split()
+        assert 0.0 < float(words[0]) < float(words[words.index("middle") - 3])
+    wanted = ["check", "--controller", str(folder / "pid.json"), "--limits", limits(folder, "x.toml", more="disk = 2.5")]
+    assert main([*wanted, *on_model(folder)]) == 2

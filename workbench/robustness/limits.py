@@ -176,7 +176,8 @@ class LoopLimits:
     """Limits of signals over `run`, and what is asked of the loop itself.
 
     stable: it must be stable; margin: factor by which the boxes of what is uncertain may be widened; sensitivity: largest peak
-    |S|; None: not asked. moving: parameters may be others at every sample, and not only unknown; then such a run refutes too.
+    |S|; disk: least disk margin at the plant input; None: not asked. moving: parameters may be others at every sample, and not
+    only unknown; then such a run refutes too.
     """
 
     limits: tuple[Limit, ...] = ()
@@ -185,6 +186,7 @@ class LoopLimits:
     margin: float | None = None
     sensitivity: float | None = None
     moving: bool = False
+    disk: float | None = None
 
 
 def resolved(limits: Iterable[Limit], plant: Plant, controller: Loop) -> tuple[Limit, ...]:
@@ -216,7 +218,7 @@ def setpoint_of(limit: Limit, controller: Loop) -> str | None:
 TABLES = ("run", "limits", "loop")
 RUN = ("duration", "seed", "start", "setpoints")
 LIMIT = ("low", "high", "rate", "band", "settling", "begin", "unit")
-LOOP = ("stable", "margin", "sensitivity", "moving")
+LOOP = ("stable", "margin", "sensitivity", "moving", "disk")
 
 
 def load_limits(path: str | Path) -> LoopLimits:
@@ -244,7 +246,10 @@ def load_limits(path: str | Path) -> LoopLimits:
         raise loop.refused("margin", f"{margin:g}", "a factor above 0; 1 is the box as it was found")
     if sensitivity is not None and sensitivity <= 1.0:
         raise loop.refused("sensitivity", f"{sensitivity:g}", "no loop has a peak |S| below 1; usual are 1.4 to 2")
-    return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity, loop.flag("moving", False))
+    disk = loop.number("disk")
+    if disk is not None and not 0.0 < disk < 2.0:
+        raise loop.refused("disk", f"{disk:g}", "a disk margin lies between 0 and 2; usual are 0.5 to 1")
+    return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity, loop.flag("moving", False), disk)
 
 
 class _Table:

@@ -136,6 +136,16 @@ class Machine:
     parameters: tuple[str, ...]
     dt: float = field("", unit="s")
 
+    def response(self, omega: np.ndarray, inputs: Sequence[str], outputs: Sequence[str], delta: np.ndarray | None = None):
+        """From inputs to outputs at omega [rad/s], (N, ny, nu), with constant parameters delta (p)."""
+        d = np.zeros(len(self.lam)) if delta is None else delta
+        C = self.C + np.eye(len(self.C))[:, self.channel.astype(int)] @ ((self.lam * d)[:, None] * self.T)
+        A = self.A + self.By @ C
+        B = self.Bu[:, [self.inputs.index(name) for name in inputs]]
+        z = np.exp(1j * np.asarray(omega) * self.dt)
+        x = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B.astype(complex), (len(z), *B.shape)))
+        return C[[self.outputs.index(name) for name in outputs]] @ x
+
 
 @record
 class DrivenLoop:

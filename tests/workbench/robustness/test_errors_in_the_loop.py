@@ -128,3 +128,21 @@ def test_what_does_not_belong_together_is_refused(known):
     with pytest.raises(InputError, match="no interval model of y2"):
         close(errors, a_law(), 0.5)
     assert one_step_errors(model, record_of(model, 2)).names[-1] == "error of y2"
+
+
+def test_a_response_is_that_of_the_run_with_constant_parameters(known):
+    """The machine at constant delta, driven by one input sample by sample, against its response at one frequency."""
+    model, errors = known
+    machine, random = machine_with_errors(model, errors, 0.4), np.random.default_rng(1)
+    delta = 0.02 * random.uniform(-1.0, 1.0, len(machine.lam))  # so that it is stable by itself
+    omega, n = 3.0, 4000
+    u, s, y = np.cos(omega * DT * np.arange(n)), np.zeros(len(machine.A)), np.empty((n, 2))
+    per_output = np.eye(2)[:, machine.channel.astype(int)]
+    for k in range(n):
+        w = per_output @ (delta * machine.lam * (machine.T @ s))
+        y[k] = machine.C @ s + w
+        s = machine.A @ s + machine.Bu[:, 2] * u[k] + machine.By @ y[k]
+    late = slice(n // 2, None)
+    turned = np.exp(1j * omega * DT * np.arange(n))[late]
+    found = machine.response(np.array([omega]), ["u3"], ["y2", "y1"], delta)[0, :, 0]
+    np.testing.assert_allclose(np.real(np.outer(turned, found)), y[late][:, ::-1], atol=1e-6)
