@@ -23,32 +23,21 @@ from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel, PiecewiseLinear, load_model
+from workbench.lpv import LPVModel, PiecewiseLinear, Powers, load_model
 from workbench.physics.controller import Controller
 from workbench.provenance import provenance
 from workbench.readers import read
-from workbench.records import record
+from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
 from workbench.robustness.envelopes import Course, kernel, nominal
 from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved
-from workbench.robustness.loop import driven, interpolated, machine_with_errors
-from workbench.robustness.margins import Margin, corners, disk_margin, margin
+from workbench.robustness.loop import UncertainLoop, check_law, driven, interpolated, machine_with_errors
+from workbench.robustness.margins import Falsified, Margin, disk_margin, margin
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence, same
-from workbench.robustness.verdict import (
-    CORNERS,
-    MOST_CONSTANT,
-    Bound,
-    Kept,
-    Status,
-    Verdict,
-    bounds_kept,
-    overall,
-    refuting,
-    stability,
-)
+from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
 from workbench.simulate import Scenario, simulate
 
 Say = Callable[[str], None]
@@ -57,6 +46,7 @@ NODES = 5  # of the schedule at which the loop is proved
 GRID = 25  # of the schedule at which |S| is looked at
 RUNS, STEPPED = 400, 40  # of the plant for each limit; of a law that is computed step by step
 MOTION = 1.1  # ratio of bounds at which the search of a certificate in motion ends
+KNOWN = 0.01  # widths of the model's span by which a schedule may leave it
 SURE = 1e-3  # probability that a statement about sampling is wrong
 RATE = "rate of "
 
@@ -67,6 +57,15 @@ class Checked:
 
     verdicts: tuple[Verdict, ...]
     blocks: tuple[Block, ...]
+
+
+@record
+class Open:
+    """A model, the boxes of its errors, and parameters (R p) within them, as shares, that may be the machine's."""
+
+    model: LPVModel
+    errors: tuple[IntervalModel, ...]
+    possible: np.ndarray = field("R p", low=-1.0, high=1.0)
 
 
 def check(options: Namespace, say: Say, progress: Say) -> int:
@@ -87,14 +86,19 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
     folder = run_folder(options.out, "check")
     parts: list[tuple[str, Checked]] = []
     if model is not None:
-        errors = open_errors(model, records, options)
-        say(f"{model.name}: {_described(errors)}")
+        left = open_errors(model, records, options)
+        for line in _described(left.errors):
+            say(line)
         parts.append(
             (
                 "On the identified model",
-                on_model(model, errors, law, limits, chosen, folder, options.nodes, options.rate, progress),
+                on_model(left, law, limits, chosen, folder, options.nodes, options.rate, progress),
             )
         )
+    if chosen is not None and model is None and any((limits.stable, limits.margin, limits.sensitivity, limits.disk)):
+        said = "asked of the loop itself: give --model and --records"
+        loop = [Verdict(name, "no model", Status.UNDECIDED, math.nan, "", said) for name in claimed(replace(limits, limits=()))]
+        parts.append(("Not checked", Checked(tuple(loop), ())))
     if chosen is not None:
         parts.append(("On the simulated plant", on_plant(chosen, law, limits, options, folder, progress)))
     verdicts = [v for _, part in parts for v in part.verdicts]
@@ -130,9 +134,11 @@ def counted(verdicts: Sequence[Verdict]) -> str:
 def headline(name: str, status: Status, verdicts: Sequence[Verdict]) -> str:
     """The verdict in one paragraph."""
     said = {
-        Status.PROVED: f"PROVED: {name} keeps everything that was asked, on every machine that the records leave open.",
+        Status.PROVED: f"PROVED: {name} keeps everything that was asked, whatever the records leave open of the model, while "
+        "no command is at its stop.",
         Status.PASSED: f"PASSED: nothing that was asked of {name} could be broken. What is marked PASSED was tried, not proved.",
-        Status.UNDECIDED: f"UNDECIDED: something asked of {name} is neither proved nor refuted.",
+        Status.UNDECIDED: f"UNDECIDED: something asked of {name} is neither proved nor refuted. More records narrow the boxes, "
+        "a calmer law (design with a lower --sensitivity) narrows the band, and a limit outside of the band is proved.",
         Status.FAILED: f"FAILED: {name} does not keep what was asked; a stored run shows it.",
     }[status]
     worst = [v for v in verdicts if v.status is status]
@@ -152,93 +158,121 @@ def verdict_table(verdicts: Sequence[Verdict]) -> Table:
 # ---- on the identified model --------------------------------------------------------------------------------------------
 
 
-def open_errors(model: LPVModel, records: Sequence[Any], options: Namespace) -> tuple[IntervalModel, ...]:
+def open_errors(model: LPVModel, records: Sequence[Any], options: Namespace) -> Open:
     """What the records leave open of the model's errors."""
     bound = None if options.bound is None else [float(part) for part in options.bound.split(",")]
-    return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(records)))
+    return opened(ErrorRegression(options.lags, bound), model, Dataset(tuple(records)))
 
 
-def _described(errors: Sequence[IntervalModel]) -> str:
+def opened(method: ErrorRegression, model: LPVModel, records: Dataset) -> Open:
+    """The boxes, and constant parameters within them that no record refutes."""
+    errors = method.fit(model, records)
+    return Open(model, errors, method.possible(model, records, errors))
+
+
+def _described(errors: Sequence[IntervalModel]) -> list[str]:
+    """A line for each box."""
     said = []
     for own in errors:
         box = own.modes[0].box
-        ends = [
-            f"{name} {low:+.3g} to {high:+.3g}"
-            for name, low, high in zip(own.form.names, box.centre - box.radius, box.centre + box.radius, strict=True)
-        ]
-        said.append(f"{own.output.name} [{own.output.unit}] within {', '.join(ends)}")
-    return "; ".join(said)
+        low, high = box.centre - box.radius, box.centre + box.radius
+        ends = [f"{low[i]:+.3g} to {high[i]:+.3g} times {name}" for i, name in enumerate(own.form.names[:-1])]
+        said.append(f"{own.output.name}: {', '.join(ends)}; beyond that up to {box.radius[-1]:.3g} {own.output.unit}".rstrip())
+    return said
 
 
 def on_model(
-    model: LPVModel, errors: Sequence[IntervalModel], law: Any, limits: LoopLimits, chosen: Chosen | None, folder: Path,
-    nodes: int, rate: float | None, progress: Say,
+    left: Open, law: Any, limits: LoopLimits, chosen: Chosen | None, folder: Path, nodes: int, rate: float | None, progress: Say
 ) -> Checked:  # fmt: skip
-    """Stability at nodes of the schedule and, with a rate [1/s], in motion; |S|; and limits along the run."""
-    of = f"model {model.name}"
+    """Stability at nodes of the schedule and, with a rate [1/s], in motion; |S|; disk margin; and limits along the run."""
+    model, of = left.model, f"model {left.model.name}"
     if not isinstance(law, ScheduledPID):
-        said = f"{law.name} is computed step by step: no linear law to prove anything of; check it on the plant"
-        return Checked((Verdict("stable", of, Status.UNDECIDED, math.nan, "", said),), ())
+        said = f"{law.name} is computed step by step: no linear law to prove anything of; it is checked on the plant alone"
+        return Checked(tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)), ())
+    check_law(model, law)
+    run = _prepared(left, law, limits, chosen) if limits.limits and limits.run is not None else None
     verdicts, blocks = [], []
     if limits.stable or limits.margin is not None:
-        own, picture = _stability(model, errors, law, limits, folder, nodes, rate, of, progress)
+        own, picture = _stability(left, law, limits, folder, nodes, rate, of, progress)
         verdicts, blocks = [*verdicts, *own], [*blocks, *picture]
     if limits.sensitivity is not None:
         verdicts.append(_sensitivity(model, law, limits.sensitivity, of))
     if limits.disk is not None:
-        verdicts.append(_disk(model, errors, law, limits.disk, nodes, of))
-    if limits.limits and limits.run is not None:
-        own, pictures = _bounds(model, errors, law, limits, chosen, folder, of, progress)
+        verdicts.append(_disk(left, law, limits.disk, nodes, of))
+    if run is not None:
+        own, pictures = _bounds(left, law, limits, run, folder, of, progress)
         verdicts, blocks = [*verdicts, *own], [*blocks, *pictures]
     return Checked(tuple(verdicts), tuple(blocks))
 
 
+def claimed(limits: LoopLimits) -> list[str]:
+    """Every claim of a file of limits, in words."""
+    of_loop = {"stable": limits.stable, "margin": limits.margin, "peak |S|": limits.sensitivity, "disk margin": limits.disk}
+    return [name for name, asked in of_loop.items() if asked] + [f"{x.signal}: {' and '.join(x.kept)}" for x in limits.limits]
+
+
 def _stability(
-    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, limits: LoopLimits, folder: Path, nodes: int,
-    rate: float | None, of: str, progress: Say,
+    left: Open, law: ScheduledPID, limits: LoopLimits, folder: Path, nodes: int, rate: float | None, of: str, progress: Say
 ) -> tuple[list[Verdict], list[Block]]:  # fmt: skip
+    model, errors = left.model, left.errors
     at = [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist()
     needed = max(limits.margin or 1.0, 1.0 if limits.stable else 0.0)
     verdicts, found = [], []
     for rho in at:
-        where = (
-            ""
-            if rho is None or model.schedule is None
-            else f" at {model.schedule.name} = {rho:.4g} {model.schedule.unit}".rstrip()
-        )
+        where = f" at {_told(model, rho)}" if rho is not None else ""
         progress(f"stability{where}")
         claim = f"stable{where}" + f" in boxes {needed:g} times as wide" * (needed != 1.0)
-        loop = driven(machine_with_errors(model, errors, rho), law, rho).undriven()
-        if loop.radius >= 1.0:
-            said = f"lost in the middle of the boxes: a pole of modulus {loop.radius:.4g}"
-            verdicts.append(Verdict(claim, of, Status.FAILED, 1.0 - loop.radius, "", said))
+        machine = machine_with_errors(model, errors, rho)
+        loop = driven(machine, law, rho).undriven()
+        # beyond the boxes themselves nothing is known of what the records leave open: there sequences within them refute
+        constant = None if limits.moving or needed != 1.0 else left.possible[:, np.abs(machine.T).max(axis=1) > 0.0]
+        try:
+            own = margin(loop)
+        except InputError as reason:
+            verdicts.append(_without_margin(loop, constant, claim, of, folder / f"sequence-{len(verdicts) + 1}.json", reason))
             continue
-        own = margin(loop)
         found.append((rho, own))
-        verdict = stability(own, needed, claim, of, moving=limits.moving)
-        if verdict.status is Status.FAILED:
-            path = folder / f"sequence-{len(found)}.json"
-            witness = Growth(claim, own.loop, refuting(own, limits.moving))
-            witness.save(path)
+        verdict = stability(own, needed, claim, of, possible=constant)
+        if verdict.status is Status.FAILED and (lost := refuting(own, needed, constant)) is not None:
+            path = folder / f"sequence-{len(verdicts) + 1}.json"
+            Growth(claim, own.loop, lost, needed).save(path)
             verdict = _replayed(verdict, path)
         verdicts.append(verdict)
     if rate is not None:
-        verdicts.append(_in_motion(model, errors, law, rate, nodes, needed, limits.moving, of, progress))
+        verdicts.append(_in_motion(model, errors, law, rate, nodes, needed, of, progress))
     return verdicts, _margin_blocks(model, found, needed)
 
 
-def _in_motion(
-    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, rate: float, nodes: int, needed: float, moving: bool,
-    of: str, progress: Say,
+def _without_margin(
+    loop: UncertainLoop, constant: np.ndarray | None, claim: str, of: str, path: Path, reason: InputError
 ) -> Verdict:  # fmt: skip
-    """Stability while the schedule moves: of the model that is linear between the nodes, and how far that is from the model."""
+    """A loop that has no margin: lost in the middle of the boxes, or where the search came to nothing."""
+    tried = np.zeros((1, len(loop.lam))) if constant is None else constant
+    radii = np.abs(np.linalg.eigvals(loop.at(tried))).max(axis=1)
+    worst = int(radii.argmax())
+    if radii[worst] < GROWS:
+        return Verdict(claim, of, Status.UNDECIDED, math.nan, "", f"no margin was found: {reason.problem}")
+    lost = Falsified(1.0, tried[worst][None], 1.0)
+    lost = replace(lost, growth=lost.replay(loop))
+    Growth(claim, loop, lost).save(path)
+    who = "the middle of the boxes lets" if constant is None else "constant parameters that no record refutes let"
+    said = f"{who} a state grow, by {lost.growth:.4g} at every sample"
+    return _replayed(Verdict(claim, of, Status.FAILED, 1.0 - lost.growth, "", said), path)
+
+
+def _in_motion(
+    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, rate: float, nodes: int, needed: float, of: str,
+    progress: Say,
+) -> Verdict:  # fmt: skip
+    """Stability while the schedule moves: of the machine that is linear between nodes, and proved where the model is that."""
     schedule = model.schedule
     if schedule is None:
         raise InputError(f"--rate {rate:g}, but the model has no schedule", mend="leave --rate out")
     claim = f"stable while {schedule.name} moves by up to {rate:g} {schedule.unit}/s"
     progress(claim)
-    kinks = law.basis.knots if law.schedule and isinstance(law.basis, PiecewiseLinear) else np.empty(0)
-    inside = kinks[(kinks > model.span[0]) & (kinks < model.span[1])]
+    bases = [basis for basis in (law.basis if law.schedule else None, model.basis) if isinstance(basis, PiecewiseLinear)]
+    kinks = np.concatenate([law.span if law.schedule else np.empty(0), *(basis.knots for basis in bases)])
+    inside = np.unique(kinks[(kinks > model.span[0]) & (kinks < model.span[1])])
     rho = np.union1d(np.linspace(model.span[0], model.span[1], max(nodes, 3)), inside)
     rho = rho[np.append(True, np.diff(rho) > 1e-6 * np.ptp(rho))]
     at = interpolated([machine_with_errors(model, errors, float(value)) for value in rho], rho, law)
@@ -246,17 +280,25 @@ def _in_motion(
     for middle in 0.5 * (rho[1:] + rho[:-1]):
         own = driven(machine_with_errors(model, errors, float(middle)), law, float(middle)).A
         off = max(off, float(np.abs(at(float(middle)).A - own).max() / np.abs(own).max()))
-    found = scheduled_margin(at, rho, rate * model.dt, inside, MOTION)
+    try:
+        found = scheduled_margin(at, rho, rate * model.dt, inside, MOTION)
+    except InputError as reason:
+        return Verdict(claim, of, Status.UNDECIDED, math.nan, "", f"no margin was found: {reason.problem}")
     low, high, standing = found.certified.kappa, found.falsified.kappa, found.standing.kappa
     said = (
         f"P({schedule.name}) falls at every sample up to boxes {low:.3g} times as wide; moving parameters refute it from "
-        f"{high:.3g} times on ({standing:.3g} while it stands still); of the model that is linear between {len(rho)} values, and "
-        f"there {100 * off:.2g} % off at most"
+        f"{high:.3g} times on ({standing:.3g} while it stands still)"
     )
-    if low >= needed and found.certified.holds(found.loop):
-        return Verdict(claim, of, Status.PROVED, low - needed, "boxes", said)
-    if moving and high < needed and found.falsified.replay(at) >= 1.0:
-        return Verdict(claim, of, Status.FAILED, high - needed, "boxes", said)
+    linear = isinstance(model.basis, PiecewiseLinear) or (
+        isinstance(model.basis, Powers) and set(model.basis.exponents) <= {0, 1}
+    )
+    delays = max(term.delay for term in model.terms)
+    if linear and not delays:
+        if low >= needed and found.certified.holds(found.loop):
+            return Verdict(claim, of, Status.PROVED, low - needed, "boxes", said)
+        return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
+    said += f"; but of the machine that is linear between {len(rho)} values, {100 * off:.2g} % off halfway between two"
+    said += f", and without the delays of the model's schedule of up to {delays} samples" * (delays > 0)
     return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
 
 
@@ -269,7 +311,7 @@ def _told(model: LPVModel, rho: float) -> str:
 def _replayed(verdict: Verdict, path: Path) -> Verdict:
     """The verdict with its file, where the file gives the same number again."""
     stored = load_sequence(path)
-    if same(stored.again(lambda content: controller_of(content, path)), stored.value):
+    if stored.breaks and same(stored.again(lambda content: controller_of(content, path)), stored.value):
         return verdict.shown_by(path.name)
     return replace(verdict, status=Status.UNDECIDED, sentence=f"{verdict.sentence}; the stored run did not give it again")
 
@@ -296,73 +338,103 @@ def _margin_blocks(model: LPVModel, found: Sequence[tuple[float | None, Margin]]
 
 def _sensitivity(model: LPVModel, law: ScheduledPID, asked: float, of: str) -> Verdict:
     grid = [None] if model.schedule is None else list(np.linspace(model.span[0], model.span[1], GRID))
-    peaks = worst_margins(law, [model], grid, DEFAULT).sensitivity
-    largest = float(peaks.max())
-    rho = grid[int(peaks.argmax())]
-    where = f", at {_told(model, rho)}" if rho is not None else ""
+    found = worst_margins(law, [model], grid, DEFAULT)
+    peaks, claim = found.sensitivity, f"peak |S| at most {asked:g}"
+    if found.radius.max() >= 1.0:
+        return Verdict(claim, of, Status.FAILED, math.nan, "", "the loop of the model itself is not stable: it has no |S|")
+    largest, worst = float(peaks.max()), grid[int(peaks.argmax())]
+    where = "" if worst is None else f", at {_told(model, float(worst))}"
     status = Status.PASSED if largest <= asked else Status.FAILED
     said = f"the largest |S| of the model itself is {largest:.3g} at {len(grid)} schedule values{where}"
-    return Verdict(f"peak |S| at most {asked:g}", of, status, asked - largest, "", said)
+    return Verdict(claim, of, status, asked - largest, "", said)
 
 
-def _disk(
-    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, asked: float, nodes: int, of: str
-) -> Verdict:  # fmt: skip
-    """The least disk margin at the plant input, of constant parameters at corners of the boxes."""
-    omega, least = frequencies(model.dt, 3), (np.inf, None)
-    middle = np.inf
+def _disk(left: Open, law: ScheduledPID, asked: float, nodes: int, of: str) -> Verdict:
+    """The least disk margin at the plant input, of constant parameters that no record refutes."""
+    model, omega, least, middle = left.model, frequencies(left.model.dt, 3), (np.inf, None), np.inf
+    tried = np.vstack([np.zeros((1, left.possible.shape[1])), left.possible])
     for rho in [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist():
-        machine, K = machine_with_errors(model, errors, rho), law.response(omega, rho)
-        moving = np.flatnonzero(np.abs(machine.T).max(axis=1) > 0.0)
-        random = np.random.default_rng(0)
-        at = corners(len(moving)) if len(moving) <= MOST_CONSTANT else random.choice([-1.0, 1.0], (CORNERS, len(moving)))
-        tried = np.vstack([np.zeros(len(moving)), at])
-        stable = np.abs(np.linalg.eigvals(driven(machine, law, rho).undriven().at(tried))).max(axis=1) < 1.0
-        for number, corner in enumerate(tried):
-            delta = np.zeros(len(machine.lam))
-            delta[moving] = corner
+        machine, K = machine_with_errors(model, left.errors, rho), law.response(omega, rho)
+        moving = np.abs(machine.T).max(axis=1) > 0.0
+        stable = np.abs(np.linalg.eigvals(driven(machine, law, rho).undriven().at(tried[:, moving]))).max(axis=1) < 1.0
+        for number, delta in enumerate(tried):
             own = disk_margin(K @ machine.response(omega, law.actuated, law.measured, delta)) if stable[number] else 0.0
-            least = min(least, (own, rho), key=lambda pair: pair[0])
             middle = min(middle, own) if number == 0 else middle
+            least = min(least, (own, rho), key=lambda pair: pair[0]) if number else least
     where = f", at {_told(model, least[1])}" if least[1] is not None else ""
     status = Status.PASSED if least[0] >= asked else Status.FAILED
-    said = f"{least[0]:.3g} at the worst corner of the boxes{where}, {middle:.3g} in the middle of them; constant parameters"
+    tried_of = f"the worst of {len(left.possible)} constant parameters{where}"
+    said = f"{least[0]:.3g} for {tried_of}, {middle:.3g} in the middle of the boxes"
     return Verdict(f"disk margin at least {asked:g}", of, status, least[0] - asked, "", said)
 
 
-def _bounds(
-    model: LPVModel, errors: Sequence[IntervalModel], law: ScheduledPID, limits: LoopLimits, chosen: Chosen | None, folder: Path,
-    of: str, progress: Say,
-) -> tuple[list[Verdict], list[Block]]:  # fmt: skip
-    run = limits.run
+@record
+class _Run:
+    """Set-points (N nr) and the schedule (N) of a run, the bounds asked of it, and what it is called."""
+
+    references: np.ndarray = field("N nr")
+    rho: np.ndarray = field("N")
+    bounds: tuple[Bound, ...]
+    along: str
+
+
+def _prepared(left: Open, law: ScheduledPID, limits: LoopLimits, chosen: Chosen | None) -> _Run:
+    """What the limits ask, checked before anything is computed. Raises InputError for what the loop does not have."""
+    run, model = limits.run, left.model
     assert run is not None
+    if run.start and chosen is None:
+        raise InputError("start is of a plant", file="[run]", mend="leave it out, or give --plant: a model begins at rest")
     references = _references(run, law)
-    N = len(references)
-    rho = _schedule(model, law, run, chosen, N)
-    channels = {c.name: c for c in (*model.outputs, *model.inputs)}
+    rho = _schedule(model, law, run, chosen, len(references))
+    channels, bounds = {c.name: c for c in (*model.outputs, *model.inputs)}, []
     for limit in limits.limits:
+        place = f"[limits.{limit.signal}]"
         if limit.signal not in (*law.measured, *law.actuated):
             known = ", ".join((*law.measured, *law.actuated))
-            raise InputError("not a signal of this loop", file=f"limit of {limit.signal}", mend=f"it has {known}")
-    every = [bound for limit in limits.limits for bound in _asked(limit, law, references, channels[limit.signal].unit)]
-    clipped = [bound for bound in every if _by_the_law(law, bound)]
-    wanted = [bound for bound in every if not _by_the_law(law, bound)]
-    stops = _stops(law, N)
-    rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE) for b in (*wanted, *stops) if b.signal.startswith(RATE)))
-    passage = Passage(model, tuple(errors), controller_content(law), rho, references, run.seed is not None, rates)
-    progress("the loop along the run")
-    own = passage.course(law)
-    kept = bounds_kept(own, wanted, stops, of=of, moving=limits.moving, progress=progress)
+            raise InputError("not a signal of this loop", file=place, mend=f"it has {known}")
+        unit = channels[limit.signal].unit
+        if limit.unit and unit and limit.unit != unit:
+            raise InputError(f"in {limit.unit}, the model has it in {unit}", file=place, mend=f"give the bounds in {unit}")
+        if "settling" in limit.kept and limit.signal not in law.measured:
+            raise InputError("settling needs a set-point", file=place, mend=f"only {', '.join(law.measured)} have one")
+        own = _asked(limit, law, references, unit)
+        if empty := [b.claim for b in own if not (np.isfinite(b.low) | np.isfinite(b.high)).any()]:
+            raise InputError(f"{empty[0]}: asks nothing within the run", file=place, mend="a longer run, or an earlier begin")
+        bounds += own
+    schedule = model.schedule
+    along = "" if schedule is None else f", along {schedule.name} from {rho[0]:.4g} to {rho[-1]:.4g} {schedule.unit}"
+    return _Run(references, rho, tuple(bounds), along)
+
+
+def _bounds(
+    left: Open, law: ScheduledPID, limits: LoopLimits, run: _Run, folder: Path, of: str, progress: Say
+) -> tuple[list[Verdict], list[Block]]:  # fmt: skip
+    assert limits.run is not None
+    of = f"{of}{run.along}"
+    clipped = [bound for bound in run.bounds if _by_the_law(law, bound)]
+    wanted = [bound for bound in run.bounds if not _by_the_law(law, bound)]
     verdicts = []
     if clipped:
         said = "the law itself never commands beyond it"
         verdicts.append(Verdict(", ".join(bound.claim for bound in clipped), of, Status.PROVED, 0.0, "", said))
+    stops = _stops(law, len(run.references))
+    rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE) for b in (*wanted, *stops) if b.signal.startswith(RATE)))
+    noise, model = limits.run.seed is not None, left.model
+    passage = Passage(model, left.errors, controller_content(law), run.rho, run.references, noise, rates)
+    progress("the loop along the run")
+    possible = None if limits.moving else left.possible
+    try:
+        own = passage.course(law)
+        kept = bounds_kept(own, wanted, stops, of=of, dt=law.dt, possible=possible, progress=progress)
+    except InputError as reason:
+        lost = [Verdict(bound.claim, of, Status.UNDECIDED, math.nan, bound.unit, reason.problem) for bound in wanted]
+        return [*verdicts, *lost], []
     for number, k in enumerate(kept, 1):
         verdict = k.verdict
         if verdict.status is Status.FAILED:
             verdict = _replayed(verdict, _broken(own, k, passage, folder / f"passage-{number}.json"))
         verdicts.append(verdict)
-    return verdicts, _envelope_pictures(own, kept, channels, law.dt)
+    return verdicts, _envelope_pictures(own, kept, {c.name: c for c in (*model.outputs, *model.inputs)}, law.dt)
 
 
 def _references(run: Manoeuvre, law: Any) -> np.ndarray:
@@ -378,7 +450,13 @@ def _schedule(model: LPVModel, law: Any, run: Manoeuvre, chosen: Chosen | None, 
     if chosen is None:
         return np.linspace(model.span[0], model.span[1], N)
     quiet = replace(run, seed=None).scenario(chosen.plant, law)
-    return np.clip(simulate(chosen.plant, law, quiet, bumpless=True).experiment[model.schedule.name][:N], *model.span)
+    every = max(1, round(law.dt / chosen.plant.dt))
+    rho = simulate(chosen.plant, law, quiet, bumpless=True).experiment[model.schedule.name][::every][:N]
+    if model.outside(rho) > KNOWN:
+        problem = f"{model.schedule.name} goes from {rho.min():.4g} to {rho.max():.4g} in this run"
+        known = f"the model knows {model.span[0]:.4g} to {model.span[1]:.4g}"
+        raise InputError(problem, file="[run]", mend=f"a shorter run, or another start: {known}")
+    return np.clip(rho, *model.span)
 
 
 def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bound]:
@@ -430,9 +508,10 @@ def _stops(law: ScheduledPID, N: int) -> list[Bound]:
 
 def _broken(own: Course, kept: Kept, passage: Passage, path: Path) -> Path:
     """The file of the run that breaks a bound."""
-    v = kept.v[:, own.number(kept.bound.signal)]
-    k = int(np.maximum(kept.bound.low - v, v - kept.bound.high).argmax())
-    return Broken(kept.bound.claim, passage, kept.bound.signal, k, float(v[k]), kept.delta).save(path)
+    k, bound = kept.sample, kept.bound
+    value = float(kept.v[k, own.number(bound.signal)])
+    low, high = float(bound.low[k]), float(bound.high[k])
+    return Broken(bound.claim, passage, bound.signal, k, value, kept.delta, kept.start, low, high).save(path)
 
 
 def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Channel], dt: float) -> list[Block]:
@@ -450,8 +529,8 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
         name = signal.removeprefix(RATE)
         unit = channels[name].unit + "/s" * signal.startswith(RATE)
         caption = (
-            "The band holds every run, whatever the parameters do within their boxes at every sample. Dashed and coloured: the "
-            "parameter sequences that come furthest."
+            "The band holds every run, whatever the parameters do within their boxes at every sample, while no command is at its "
+            "stop. Coloured: the runs that come nearest to a limit, with parameters that may refute it."
         )
         blocks.append(
             figures.guaranteed(

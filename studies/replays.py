@@ -67,12 +67,12 @@ def _run_sequence(options: Namespace, say: Say) -> int:
         raise InputError("is of an identified model, which it holds", file=options.replay, mend=f"leave {options.plant} out")
     stored = load_sequence(options.replay)
     found = stored.again(lambda content: controller_of(content, options.replay))
-    agrees = same(found, stored.value)
+    agrees = same(found, stored.value) and stored.breaks
     say(f"{stored.claim}\n  {stored.sentence} {stored.value:.12g}, found now {found:.12g}")
     if options.json:
         source = provenance({"replay": options.replay}, [options.replay], None)
         write_json(options.json, {"same": agrees, "stored": stored.value, "found": found, "provenance": source})
-    say("  the same: the counterexample stands" if agrees else "  not the same: was the file or the program changed?")
+    say("  the same: the counterexample stands" if agrees else "  it does not stand: was the file or the program changed?")
     return 0 if agrees else 1
 
 

@@ -20,7 +20,7 @@ from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
 from plants import PLANTS
 from studies.arguments import Chosen
-from studies.check import Checked, counted, on_model, on_plant, verdict_table
+from studies.check import Checked, Open, counted, on_model, on_plant, opened, verdict_table
 from studies.experiments import plan
 from studies.loops import WINDING_LIMITS, benches
 from workbench.data import Channel, Dataset
@@ -95,12 +95,13 @@ def main(
     designed = bench.design(quick, seed, progress)
     model = next(iter(designed.models.values()))
     records = recorded(seed, len(RECORDED) if not quick else 3, progress)
-    errors = ErrorRegression().fit(model, Dataset(records[:2]))
+    left = opened(ErrorRegression(), model, Dataset(records[:2]))
+    errors = left.errors
     laws = {name: law for name, law in designed.laws.items() if name != "NMPC" or not quick}
     nodes, runs = (2, (60, 10)) if quick else (NODES, TRIALS)
     rate = None if quick else float(np.ptp(model.span)) / FULL  # as fast as the reel runs off
     checked = [
-        _checked(name, law, model, errors, folder, nodes, runs, seed, progress, rate if name == bench.scheduled else None)
+        _checked(name, law, left, folder, nodes, runs, seed, progress, rate if name == bench.scheduled else None)
         for name, law in laws.items()
     ]
     sections = [
@@ -111,7 +112,7 @@ def main(
     scheduled: Any = designed.laws[bench.scheduled]
     sections.append(Section("Searched and tried at random", _against_random(model, errors, scheduled, quick, seed, progress)))
     sections.append(Section("One more record", _more_records(model, records, scheduled, progress)))
-    tightened = _tightened(model, errors, designed.laws, folder, runs, quick, seed, progress)
+    tightened = _tightened(left, designed.laws, folder, runs, quick, seed, progress)
     sections.append(Section("Tightened until proved", (_cost(checked, tightened), *map(_verdicts, tightened))))
     source = provenance({"study": "robust-winding", "quick": quick}, [], seed)
     said = verdict([*checked, *tightened])
@@ -157,15 +158,15 @@ def asked() -> LoopLimits:
 
 
 def _checked(
-    name: str, law: Any, model: LPVModel, errors: Sequence[IntervalModel], folder: Path, nodes: int, runs: tuple[int, int],
-    seed: int, progress: Say, rate: float | None = None,
+    name: str, law: Any, left: Open, folder: Path, nodes: int, runs: tuple[int, int], seed: int, progress: Say,
+    rate: float | None = None,
 ) -> Law:  # fmt: skip
     """A law under check, on model and plant."""
     own, chosen = folder / name.replace(" ", "-"), Chosen(WINDING, WINDING.name)
     own.mkdir(exist_ok=True)
     save_controller(law, own / "controller.json")
     progress(f"{name}: on the identified model")
-    proved = on_model(model, errors, law, asked(), chosen, own, nodes, rate, progress)
+    proved = on_model(left, law, asked(), chosen, own, nodes, rate, progress)
     progress(f"{name}: on the machine")
     options: Any = SimpleNamespace(
         fitted=[], runs=runs[0] if isinstance(law, Controller) else runs[1], seed=seed, limits="limits"
@@ -293,11 +294,10 @@ def _more_records(model: LPVModel, records: Sequence[Any], law: ScheduledPID, pr
 
 
 def _tightened(
-    model: LPVModel, errors: Sequence[IntervalModel], laws: Mapping[str, Any], folder: Path, runs: tuple[int, int], quick: bool,
-    seed: int, progress: Say,
+    left: Open, laws: Mapping[str, Any], folder: Path, runs: tuple[int, int], quick: bool, seed: int, progress: Say
 ) -> list[Law]:  # fmt: skip
     """PIDs with lower peaks, and MPCs that keep a distance from the limit."""
-    found = []
+    found, model = [], left.model
     usual = np.array([SETPOINTS[y][0][1] for y in ("w3", "theta")])
     for peak in TIGHTER[1:] if not quick else TIGHTER[2:]:
         name = f"scheduled PID, peaks {peak:g}"
@@ -305,7 +305,7 @@ def _tightened(
         own = design_pid(
             model, knots=3 if quick else 5, bounds=Bounds(peak, peak), structure=WINDING_LIMITS, setpoint=usual
         ).law  # fmt: skip
-        found.append(_checked(name, own, model, errors, folder, 2, runs, seed, progress))
+        found.append(_checked(name, own, left, folder, 2, runs, seed, progress))
     mpc = next((law for law in laws.values() if isinstance(law, MPC)), None)
     for kept in BACKED_OFF[1:] if mpc is not None and not quick else ():
         assert mpc is not None
@@ -313,7 +313,7 @@ def _tightened(
         progress(f"designing the {name}")
         weights: Weights = mpc.weights
         own = design_mpc(model, mpc.fallback, weights=weights, y_low=np.array([-np.inf, -kept]), y_high=np.array([np.inf, kept]))
-        found.append(_checked(name, own, model, errors, folder, 2, runs, seed, progress))
+        found.append(_checked(name, own, left, folder, 2, runs, seed, progress))
     return found
 
 

@@ -1,6 +1,7 @@
 """`workbench check` as a user runs it: verdicts, exit codes, files that show what failed, and what wrong input is told."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -88,7 +89,7 @@ def test_what_fails_exits_with_1_and_runs_again(folder, capsys):
     content["controller"]["Kp"][0][0][0] *= 1.01
     witness.write_text(json.dumps(content))
     assert main(["simulate", "--replay", str(witness)]) == 1
-    assert "not the same" in capsys.readouterr().out
+    assert "does not stand" in capsys.readouterr().out
 
 
 def test_a_margin_that_is_not_there_fails_or_stays_open(folder):
@@ -143,3 +144,72 @@ def test_the_disk_margin_of_the_worst_corner_counts(folder):
         assert 0.0 < float(words[0]) < float(words[words.index("middle") - 3])
     wanted = ["check", "--controller", str(folder / "pid.json"), "--limits", limits(folder, "x.toml", more="disk = 2.5")]
     assert main([*wanted, *on_model(folder)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("[limits.u]", '[limits.u]\nunit = "kN"', "the model has it in N"),
+        ("[limits.u]", "[limits.u]\nbegin = 5.99", "asks nothing within the run"),
+        ("[2.0, 0.1]", "[7.0, 0.1]", "after the run's end"),
+        ("duration = 6.0", "duration = 6.0\nstart = {v = 0.5}", "start is of a plant"),
+        ("[limits.u]", "[limits.u]\nband = 0.1\nsettling = 1.0", "set-point"),
+    ],
+)
+def test_limits_that_say_nothing_of_the_model_are_refused(folder, capsys, old, new, problem):
+    path = folder / "n.toml"
+    text = LIMITS.format(step=0.1, low=-1, high=1, more="")
+    assert old in text
+    path.write_text(text.replace(old, new))
+    assert main(["check", "--controller", str(folder / "pid.json"), "--limits", str(path), *on_model(folder)]) == 2
+    assert problem in capsys.readouterr().err
+
+
+def test_a_law_of_another_clock_or_schedule_is_refused(folder, capsys):
+    law = pid(("u",), ("v",), ("v_set",), 0.2, [2.0], [3.0])
+    moving = replace(law, dt=0.02, schedule="arm", span=(0.0, 1.0))
+    for other, problem in ((law, "sampled every 0.2 s"), (moving, "scheduled on arm, the model on nothing")):
+        save_controller(other, folder / "other.json")
+        wanted = ["check", "--controller", str(folder / "other.json"), "--limits", limits(folder), *on_model(folder)]
+        assert main(wanted) == 2
+        assert problem in capsys.readouterr().err
+
+
+def test_what_is_not_checked_is_said(folder):
+    """On the plant alone nothing is said of the loop, and the status is no better than that."""
+    code, found = run(folder, "--limits", limits(folder), "--plant", "welding-robot", "--runs", "20", out="p")
+    assert code == 0
+    assert [v["status"] for v in found["verdicts"] if v["claim"] == "stable"] == ["UNDECIDED"]
+    assert found["status"] == "UNDECIDED"
+
+
+def test_a_loop_that_is_lost_fails_with_a_file(folder, capsys):
+    save_controller(pid(("u",), ("v",), ("v_set",), 0.02, [2000.0], [3.0]), folder / "wild.json")
+    wanted = ["check", "--controller", str(folder / "wild.json"), "--limits", limits(folder, "l.toml", more="sensitivity = 2.0")]
+    assert main([*wanted, *on_model(folder), "--out", str(folder / "lost")]) == 1
+    verdicts = json.loads((folder / "lost" / "check.json").read_text())["verdicts"]
+    assert [v["status"] for v in verdicts if v["claim"].startswith(("stable", "peak"))] == ["FAILED", "FAILED"]
+    assert not [v for v in verdicts if v["status"] == "PROVED"]
+    assert main(["simulate", "--replay", str(folder / "lost" / verdicts[0]["witness"])]) == 0
+
+
+def test_a_sequence_that_breaks_nothing_does_not_stand(folder, capsys):
+    path = limits(folder, "tight.toml", step=0.4, high=0.38)
+    _, found = run(folder, "--limits", path, *on_model(folder), out="bad2")
+    witness = next(folder / "bad2" / v["witness"] for v in found["verdicts"] if v["status"] == "FAILED")
+    content = json.loads(witness.read_text())
+    content["high"] = content["value"] + 1.0
+    witness.write_text(json.dumps(content))
+    assert main(["simulate", "--replay", str(witness)]) == 1
+    assert "does not stand" in capsys.readouterr().out
+
+
+def test_noise_is_in_the_worst_order_where_a_seed_asks_for_it(folder):
+    plain = limits(folder, "q.toml")
+    noisy = folder / "noisy.toml"
+    noisy.write_text(LIMITS.format(step=0.2, low=-0.5, high=0.6, more="").replace("duration = 6.0", "duration = 6.0\nseed = 1"))
+    every = []
+    for path in (plain, str(noisy)):
+        _, found = run(folder, "--limits", path, *on_model(folder), out="n")
+        every.append(next(v["every"] for v in found["verdicts"] if v["claim"].startswith("v: high")))
+    assert every[1][1] > every[0][1] + 0.02  # the bound on what no parameter explains is 0.0206

@@ -61,6 +61,32 @@ class ErrorRegression:
             found.append(_model(model, errors, S, open_box(S, bound), bound, output))
         return tuple(found)
 
+    def possible(
+        self, model: LPVModel, dataset: Dataset, errors: Sequence[IntervalModel], count: int = 256, seed: int = 0
+    ) -> np.ndarray:
+        """Parameters that no sample refutes, as shares (R, p) of the boxes: middle + share * radius, one box after the other.
+
+        The box around all of them holds many that the records refute, its corners among them. These are the model itself, and
+        combinations of the vertices of what is left of each output, drawn in from the edge by SLACK and checked sample by sample.
+        """
+        records = Dataset(tuple(one_step_errors(model, e) for e in dataset))
+        sources, random = [c.name for c in (*model.outputs, *model.inputs)], np.random.default_rng(seed)
+        shares = []
+        for own in errors:
+            S, box = samples(own.structure, records, own.output.name, sources), own.modes[0].box
+            moving = S.form.source >= 0
+            z, bound = S.z[:, moving], box.radius[~moving].max()
+            theta = _vertices(z, S.y, float(bound), random)
+            kept = theta[np.all(np.abs(S.y[:, None] - z @ theta.T) <= bound, axis=0)]
+            share = np.zeros((len(kept), len(moving)))
+            share[:, moving] = np.clip((kept - box.centre[moving]) / box.radius[moving], -1.0, 1.0)
+            shares.append(share)
+        if not all(map(len, shares)):
+            raise InputError("no parameter of the errors is possible", file=model.name, mend="a larger bound")
+        first = np.hstack([share[:1] for share in shares])
+        drawn = np.hstack([share[random.integers(0, len(share), count - 1)] for share in shares])
+        return np.vstack([first, drawn])
+
 
 def one_step_errors(model: LPVModel, experiment: Experiment) -> Experiment:
     """Outputs and inputs as deviations from the operating point, and the error of each one-step prediction, after the warm-up."""
@@ -107,6 +133,21 @@ def open_box(S: Samples, bound: float) -> ParameterBox:
     centre, radius = np.zeros(len(moving)), np.full(len(moving), np.nextafter(bound, np.inf))
     centre[moving], radius[moving] = 0.5 * (low + high), 0.5 * (high - low)
     return ParameterBox(centre, radius)
+
+
+def _vertices(z: np.ndarray, e: np.ndarray, bound: float, random: np.random.Generator) -> np.ndarray:
+    """theta (R, p): 0, and the furthest along axes and in random directions, all of these drawn in towards their mean."""
+    size = np.abs(z).max(axis=0)
+    p = z.shape[1]
+    directions = np.vstack([np.eye(p), -np.eye(p), random.normal(size=(4 * p, p))])
+    program, inside = RowProgram(np.zeros(p), -FAR, FAR), np.zeros(len(e), dtype=bool)
+    found = []
+    for direction in directions:
+        program.change_cost(-direction)
+        found.append(_furthest(program, z / size, e / bound, inside, bound) * bound / size)
+    theta = np.array(found)
+    middle = theta.mean(axis=0)
+    return np.vstack([np.zeros(p), middle + (1.0 - 10.0 * SLACK) * (theta - middle)])
 
 
 def sign_out(ends: np.ndarray) -> np.ndarray:

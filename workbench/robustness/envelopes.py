@@ -132,6 +132,14 @@ class Course:
             lam=np.where(delta != 0.0, 0.0, self.lam),
         )
 
+    def rest(self, delta: np.ndarray) -> np.ndarray:
+        """The state (n) in which the loop rests at the first sample with these parameters (p); `start` where it has no rest."""
+        own = self.at(delta)
+        i = own.modes[0]
+        if not np.abs(np.linalg.eigvals(own.A[i])).max(initial=0.0) < 1.0:
+            return self.start
+        return np.linalg.solve(np.eye(len(self.start)) - own.A[i], own.q[0])
+
     def number(self, signal: str) -> int:
         """Which of the watched signals it is."""
         if signal not in self.signals:
@@ -162,14 +170,18 @@ def nominal(course: Course) -> Nominal:
     return Nominal(x, z, v)
 
 
-def replay(course: Course, delta: np.ndarray) -> np.ndarray:
-    """v (S N s) for S parameter sequences delta (S N p) in [-1, 1]; runs that overflow continue as inf or NaN."""
+def replay(course: Course, delta: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    """v (S N s) for S parameter sequences delta (S N p) in [-1, 1]; runs that overflow continue as inf or NaN.
+
+    start (S n): of each run; None: that of the course.
+    """
     delta, m, members = np.asarray(delta, dtype=float), course.modes, course.members
     if delta.ndim != 3 or delta.shape[1:] != course.f.shape:
         raise InputError(f"delta has shape {delta.shape}, expected (S, {course.f.shape[0]}, {course.f.shape[1]})")
     if not np.all(np.abs(delta) <= 1.0):
         raise InputError("a sequence leaves the box", mend="delta lies between -1 and 1")
-    v, x = np.empty((*delta.shape[:2], len(course.signals))), np.tile(course.start, (len(delta), 1))
+    v = np.empty((*delta.shape[:2], len(course.signals)))
+    x = np.tile(course.start, (len(delta), 1)) if start is None else np.array(start, dtype=float)
     with np.errstate(over="ignore", invalid="ignore"):
         for k, i in enumerate(m):
             w = (delta[:, k] * course.lam[i] * (x @ course.C[i].T + course.f[k])) @ members

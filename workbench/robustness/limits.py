@@ -160,6 +160,9 @@ class Manoeuvre:
             raise InputError(f"duration {self.duration:g} s", file=name, mend=f"at least two samples of {dt:g} s")
         found = {}
         for reference, output in source.items():
+            if (last := self.setpoints[output][-1][0]) > t[-1] + SAME_TIME * dt:
+                problem = f"the set-point of {output} changes at {last:g} s, the run ends at {t[-1]:g} s"
+                raise InputError(problem, file=name, mend="a longer duration, or leave the change out")
             times, values = np.array(self.setpoints[output], dtype=float).T
             found[reference] = values[np.searchsorted(times, t + SAME_TIME * dt, side="right") - 1]
         return found

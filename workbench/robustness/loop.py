@@ -186,7 +186,10 @@ def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = N
 
 
 def driven(machine: Machine, law: LinearLaw, rho: float | None = None) -> DrivenLoop:
-    """The machine under the law at one schedule value."""
+    """The machine under the law at one schedule value. Raises InputError for a law of another sample time."""
+    if abs(law.dt - machine.dt) > SAME_DT * machine.dt:
+        mend = "design one on this model"
+        raise InputError(f"{law.name} is sampled every {law.dt:g} s, the model every {machine.dt:g} s", file=law.name, mend=mend)
     system = law.at(rho)
     Ac, Bc, Cc, Dc = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
     nr, nc = len(law.references), len(Ac)
@@ -267,6 +270,7 @@ def course_of(
 
     noise: with the errors that no parameter explains. rates: commands whose change per second is watched too.
     """
+    check_law(model, law)
     still = np.ptp(rho) == 0.0
     values = rho[:1] if still else rho
     loops = []
@@ -303,6 +307,19 @@ def machine_of(models: Sequence[IntervalModel], law: LinearLaw, rho: float | Non
         A, Bu, By, np.zeros(memory.size), np.array(Y), np.array(c), np.vstack(T), np.concatenate(t), np.concatenate(lam),
         np.concatenate(channel), np.zeros(nu), tuple(law.measured), tuple(law.actuated), tuple(names), law.dt,
     )  # fmt: skip
+
+
+def check_law(model: LPVModel, law: LinearLaw) -> None:
+    """Refuse a law of other outputs or inputs, or of another schedule, than the model."""
+    for kind, names, channels in (("output", law.measured, model.outputs), ("input", law.actuated, model.inputs)):
+        known = [c.name for c in channels]
+        if foreign := [name for name in names if name not in known]:
+            problem = f"{law.name} has the {kind}s {', '.join(names)}, the model {', '.join(known)}"
+            raise InputError(problem, file=model.name, mend=f"identify a model that has {', '.join(foreign)}")
+    own = model.schedule.name if model.schedule else None
+    if law.schedule and law.schedule != own:
+        problem = f"{law.name} is scheduled on {law.schedule}, the model on {own or 'nothing'}"
+        raise InputError(problem, file=model.name, mend="design a law on this model, or check it on the model it was designed on")
 
 
 def machine_with_errors(model: LPVModel, errors: Sequence[IntervalModel], rho: float | None = None) -> Machine:

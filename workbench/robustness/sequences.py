@@ -32,6 +32,12 @@ class Growth:
     claim: str
     loop: UncertainLoop
     found: Falsified
+    needed: float = 1.0
+
+    @property
+    def breaks(self) -> bool:
+        """Whether it refutes the claim: it grows, in boxes no wider than those that were asked about."""
+        return self.found.growth >= 1.0 and self.found.kappa <= self.needed
 
     @property
     def value(self) -> float:
@@ -51,6 +57,7 @@ class Growth:
         loop, found = self.loop, self.found
         content = {
             "kind": "growth", "claim": self.claim, "value": found.growth, "kappa": found.kappa, "delta": found.delta,
+            "needed": self.needed,
             "A": loop.A, "B": loop.B, "C": loop.C, "lam": loop.lam, "channel": loop.channel,
             "parameters": list(loop.parameters), "dt": loop.dt,
         }  # fmt: skip
@@ -79,7 +86,10 @@ class Passage:
 
 @record
 class Broken:
-    """A passage and parameters delta (N p) under which a signal has `value` at a sample, beyond what is claimed."""
+    """A passage and parameters delta (N p) under which a signal has `value` at a sample, beyond low .. high there.
+
+    start (n): the state in which it begins.
+    """
 
     claim: str
     passage: Passage
@@ -87,6 +97,14 @@ class Broken:
     sample: int
     value: float
     delta: np.ndarray = field("N p", low=-1.0, high=1.0)
+    start: np.ndarray = field("n")
+    low: float
+    high: float
+
+    @property
+    def breaks(self) -> bool:
+        """Whether it refutes the claim."""
+        return not self.low <= self.value <= self.high
 
     @property
     def sentence(self) -> str:
@@ -95,13 +113,15 @@ class Broken:
     def again(self, make_law: Callable[[Mapping[str, Any]], LinearLaw]) -> float:
         """The signal at the sample."""
         own = self.passage.course(make_law(self.passage.controller))
-        return float(replay(own, self.delta[None])[0, self.sample, own.number(self.signal)])
+        return float(replay(own, self.delta[None], self.start[None])[0, self.sample, own.number(self.signal)])
 
     def save(self, path: str | Path) -> Path:
         own = self.passage
         content = {
             "kind": "passage", "claim": self.claim, "value": self.value, "signal": self.signal, "sample": self.sample,
-            "delta": self.delta, "rho": own.rho, "references": own.references, "noise": own.noise, "rates": list(own.rates),
+            "low": self.low if np.isfinite(self.low) else None, "high": self.high if np.isfinite(self.high) else None,
+            "start": self.start, "delta": self.delta,
+            "rho": own.rho, "references": own.references, "noise": own.noise, "rates": list(own.rates),
             "model": own.model.to_dict(), "errors": [e.to_dict() for e in own.errors], "controller": dict(own.controller),
         }  # fmt: skip
         return write_json(path, {"schema": SCHEMA, "version": VERSION} | content)
@@ -141,7 +161,8 @@ def _growth(content: Mapping[str, Any]) -> Growth:
     loop = UncertainLoop(
         content["A"], content["B"], content["C"], content["lam"], content["channel"], tuple(content["parameters"]), content["dt"]
     )
-    return Growth(content["claim"], loop, Falsified(float(content["kappa"]), content["delta"], float(content["value"])))
+    found = Falsified(float(content["kappa"]), content["delta"], float(content["value"]))
+    return Growth(content["claim"], loop, found, float(content["needed"]))
 
 
 def _broken(content: Mapping[str, Any], path: str | Path) -> Broken:
@@ -150,7 +171,11 @@ def _broken(content: Mapping[str, Any], path: str | Path) -> Broken:
         model_from_dict(content["model"]), tuple(interval_model_from_dict(e, path) for e in errors), content["controller"],
         content["rho"], content["references"], bool(content["noise"]), tuple(content["rates"]),
     )  # fmt: skip
-    return Broken(content["claim"], passage, content["signal"], int(content["sample"]), float(content["value"]), content["delta"])
+    low, high = (end if content[side] is None else float(content[side]) for side, end in (("low", -np.inf), ("high", np.inf)))
+    return Broken(
+        content["claim"], passage, content["signal"], int(content["sample"]), float(content["value"]), content["delta"],
+        content["start"], low, high,
+    )  # fmt: skip
 
 
 def same(found: float, stored: float) -> bool:

@@ -12,7 +12,9 @@ first, on its worse side for the second.
 Stability and bounds are of the linear law: they hold as long as no command is at its stop. `bounds_kept` finds out how long.
 
 What is proved holds for parameters that are others at every sample, and so for those that stand still. What refutes is another
-matter: unless parameters are said to move, only a run with constant ones does.
+matter: unless parameters are said to move, only a run with constant ones does that no record refutes.
+
+The margin of what is undecided is what is missing to the proof.
 """
 
 import math
@@ -25,12 +27,12 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.records import field, record
 from workbench.robustness.envelopes import Course, Kernel, dual, kernel, nominal, replay, worst
-from workbench.robustness.margins import Falsified, Margin, corners
+from workbench.robustness.margins import Falsified, Margin
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
 INSTANTS = 4  # samples of one signal and side at which the adversary is asked
-MOST_CONSTANT = 8  # parameters up to which all constant corners are run; above, CORNERS of them drawn at random
-CORNERS = 256
+SLACK = 1e-9  # of the signal, by which a run must break a bound: more than rounding
+GROWS = 1.0 + 1e-9  # of a pole that is lost: more than rounding
 
 
 class Status(Enum):
@@ -86,30 +88,40 @@ def overall(verdicts: Sequence[Verdict]) -> Status:
 # ---- stability -----------------------------------------------------------------------------------------------------
 
 
-def refuting(found: Margin, moving: bool) -> Falsified:
-    """The sequence that refutes: of parameters that move, or of constant ones."""
-    if moving:
-        return found.falsified
-    kappa, delta = found.frozen.kappa * (1.0 + 1e-9), np.atleast_2d(found.frozen.delta)
-    return Falsified(kappa, delta, Falsified(kappa, delta, 1.0).replay(found.loop))
+def stability(found: Margin, needed: float, claim: str, of: str, *, possible: np.ndarray | None = None) -> Verdict:
+    """Whether the boxes may be `needed` times as wide.
 
-
-def stability(found: Margin, needed: float, claim: str, of: str, *, moving: bool) -> Verdict:
-    """Whether the boxes may be `needed` times as wide; moving: whether parameters that move refute it too."""
-    low, high, lost = found.certified.kappa, found.falsified.kappa, refuting(found, moving)
+    possible (R p): constant parameters that may be the machine's, and which refute it alone; None: parameters may move, and
+    sequences within the boxes refute it.
+    """
+    low, high, lost = found.certified.kappa, found.falsified.kappa, refuting(found, needed, possible)
     if low >= needed and found.certified.holds(found.loop):
         return Verdict(
             claim, of, Status.PROVED, low - needed, "boxes",
-            f"a quadratic function of the state falls at every sample, whatever the parameters do, up to boxes {low:.3g} times "
-            f"as wide; from {high:.3g} on a sequence is known that the loop does not survive",
+            f"off the stops a quadratic function of the state falls at every sample, whatever the parameters do, "
+            f"up to boxes {low:.3g} times as wide; from {high:.3g} on a sequence is known that the loop does not survive",
         )  # fmt: skip
-    if lost.kappa < needed and lost.replay(found.loop) >= 1.0:
-        what = f"{len(lost.delta)} sets of parameters in turn let" if moving else "constant parameters let"
-        said = f"in boxes {lost.kappa:.3g} times as wide {what} a state grow without end"
-        return Verdict(claim, of, Status.FAILED, lost.kappa - needed, "boxes", said)
-    said = f"proved up to boxes {low:.3g} times as wide; moving parameters refute it from {high:.3g} on"
-    said += "" if moving else f", constant ones from {lost.kappa:.3g} on"
+    if lost is not None and lost.replay(found.loop) >= 1.0:
+        if possible is None:
+            said = f"in boxes {lost.kappa:.3g} times as wide {len(lost.delta)} sets of parameters in turn let a state grow"
+            return Verdict(claim, of, Status.FAILED, lost.kappa - needed, "boxes", said)
+        said = f"constant parameters that no record refutes let a state grow, by {lost.growth:.4g} at every sample"
+        return Verdict(claim, of, Status.FAILED, 1.0 - lost.growth, "", said)
+    said = f"proved up to boxes {low:.3g} times as wide, moving parameters refute it from {high:.3g} times on"
+    said += "" if possible is None else f"; none of {len(possible)} constant ones that may be the machine's does"
     return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
+
+
+def refuting(found: Margin, needed: float, possible: np.ndarray | None) -> Falsified | None:
+    """What refutes: a sequence in boxes less than `needed` times as wide, or the worst of the possible constant parameters."""
+    if possible is None:
+        return found.falsified if found.falsified.kappa < needed else None
+    if not len(possible):
+        return None
+    radii = np.abs(np.linalg.eigvals(found.loop.at(possible))).max(axis=1)
+    worst = possible[int(radii.argmax())][None]
+    lost = Falsified(1.0, worst, 1.0).replay(found.loop)
+    return Falsified(1.0, worst, lost) if lost >= GROWS else None
 
 
 # ---- bounds along a run --------------------------------------------------------------------------------------------
@@ -128,20 +140,23 @@ class Bound:
 
 @record
 class Tried:
-    """Runs v (R N s) under parameters delta (R N p)."""
+    """Runs v (R N s) under parameters delta (R N p) from the states start (R n)."""
 
     v: np.ndarray
     delta: np.ndarray
+    start: np.ndarray
 
 
 @record
 class Kept:
-    """The verdict on a bound; the run v (N s), delta (N p) that comes nearest to breaking it, parameters moving or constant."""
+    """The verdict on a bound; the run v (N s), delta (N p), start (n) that comes nearest to breaking it, at `sample`."""
 
     bound: Bound
     verdict: Verdict
     v: np.ndarray = field()
     delta: np.ndarray = field()
+    start: np.ndarray = field()
+    sample: int
 
 
 def bounds_kept(
@@ -150,28 +165,33 @@ def bounds_kept(
     stops: Sequence[Bound] = (),
     *,
     of: str,
-    moving: bool,
+    dt: float,
+    possible: np.ndarray | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Kept]:
-    """A verdict on every bound over all parameters within their boxes.
+    """A verdict on every bound over all parameters within their boxes, samples dt [s] apart.
 
     stops: of the commands, within which the law is linear. From where it is not proved that they are kept nothing else is.
-    moving: whether parameters that move refute a bound too.
+    possible (R p): constant parameters that may be the machine's: then they alone refute, each from its own rest; None:
+    parameters may move, and sequences within the boxes refute. Raises InputError for a bound that asks nothing.
     """
+    for bound in bounds:
+        if not (np.isfinite(bound.low) | np.isfinite(bound.high)).any():
+            raise InputError("asks nothing within the run", file=bound.claim, mend="a longer run, or an earlier begin")
     outer, run = kernel(course), nominal(course).v
     free = len(course)
     for stop in stops:
         progress(stop.claim)
         free = min(free, _proved_until(course, outer, run, stop))
-    constant = None if moving else _constant_runs(course, seed)
+    constant = None if possible is None else _constant_runs(course, possible)
     found = []
     for bound in bounds:
         progress(bound.claim)
         furthest = _moving_runs(course, run, bound, seed)
         tried = furthest if constant is None else _with_noise(course, constant, bound, stops, seed)
         until = _proved_until(course, outer, run, bound)
-        found.append(_judged(course, outer, run, bound, tried, furthest, until, free, stops, of))
+        found.append(_judged(course, outer, run, bound, tried, furthest, until, free, stops, of, dt))
     return found
 
 
@@ -190,7 +210,7 @@ def _moving_runs(course: Course, run: np.ndarray, bound: Bound, seed: int) -> Tr
         spread = counted[np.linspace(0, len(counted) - 1, INSTANTS + 1).round().astype(int)[1:]]
         questions += [(bound.signal, int(k), side) for k in np.unique(np.append(spread, nearest))]
     found = worst(course, questions, seed=seed)
-    return Tried(found.v, found.delta)
+    return Tried(found.v, found.delta, np.tile(course.start, (len(found.v), 1)))
 
 
 def _explained(course: Course) -> np.ndarray:
@@ -198,17 +218,12 @@ def _explained(course: Course) -> np.ndarray:
     return np.abs(course.C).max(axis=(0, 2), initial=0.0) > 0.0
 
 
-def _constant_runs(course: Course, seed: int) -> Tried:
-    """Runs at constant corners of the box, without errors that no parameter explains."""
-    own = np.flatnonzero(_explained(course) & (course.lam.max(axis=0) > 0.0))
-    if len(own) <= MOST_CONSTANT:
-        at = corners(len(own))
-    else:
-        at = np.random.default_rng(seed).choice([-1.0, 1.0], size=(CORNERS, len(own)))
-    delta = np.zeros((len(at), course.lam.shape[1]))
-    delta[:, own] = at
-    every = np.broadcast_to(delta[:, None, :], (len(at), len(course), delta.shape[1]))
-    return Tried(replay(course, every), every)
+def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
+    """Runs with constant parameters (R p), each from its own rest, without errors that no parameter explains."""
+    own = np.where(_explained(course) & (course.lam.max(axis=0) > 0.0), possible, 0.0)
+    every = np.broadcast_to(own[:, None, :], (len(own), len(course), own.shape[1]))
+    start = np.array([course.rest(delta) for delta in own])
+    return Tried(replay(course, every, start), every, start)
 
 
 def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[Bound], seed: int) -> Tried:
@@ -216,13 +231,14 @@ def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[B
     i = course.number(bound.signal)
     excess = _excess(constant.v, bound, i, _linear_until(course, constant.v, stops))
     at = int(excess.max(axis=1).argmax())
-    best = Tried(constant.v[at : at + 1], constant.delta[at : at + 1])
+    best = Tried(constant.v[at : at + 1], constant.delta[at : at + 1], constant.start[at : at + 1])
     if not (course.lam[:, ~_explained(course)] > 0.0).any():
         return best
-    fixed = course.at(best.delta[0, 0])
+    fixed = replace(course.at(best.delta[0, 0]), start=best.start[0])
     errors = _moving_runs(fixed, best.v[0], bound, seed)
     delta = best.delta + np.where(_explained(course), 0.0, errors.delta)
-    return Tried(replay(course, delta), delta)
+    start = np.repeat(best.start, len(delta), axis=0)
+    return Tried(replay(course, delta, start), delta, start)
 
 
 def _excess(v: np.ndarray, bound: Bound, signal: int, linear: np.ndarray) -> np.ndarray:
@@ -256,40 +272,39 @@ def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound) 
 
 def _judged(
     course: Course, outer: Kernel, run: np.ndarray, bound: Bound, tried: Tried, furthest: Tried, until: int, free: int,
-    stops: Sequence[Bound], of: str,
+    stops: Sequence[Bound], of: str, dt: float,
 ) -> Kept:  # fmt: skip
     i, unit = course.number(bound.signal), bound.unit
     excess = _excess(tried.v, bound, i, _linear_until(course, tried.v, stops))
-    row, k = np.unravel_index(int(excess.argmax()), excess.shape)
-    reached, v, delta = float(excess[row, k]), tried.v[row], tried.delta[row]
-    beyond = _excess(furthest.v, bound, i, np.full(len(furthest.v), len(course)))
-
-    asked = np.isfinite(bound.low) | np.isfinite(bound.high)
-    half = outer.half[:, i]
+    row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
+    reached = float(excess[row, k])
+    beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())
+    asked, half = np.isfinite(bound.low) | np.isfinite(bound.high), outer.half[:, i]
+    left = float(np.minimum(run[:, i] - half - bound.low, bound.high - run[:, i] - half).min())
     every = (float((run[:, i] - half)[asked].min()), float((run[:, i] + half)[asked].max())) if free == len(course) else None
 
     def kept(status: Status, margin: float, said: str) -> Kept:
-        return Kept(bound, Verdict(bound.claim, of, status, margin, unit, said, every=every), v, delta)
+        found = Verdict(bound.claim, of, status, margin, unit, said, every=every)
+        return Kept(bound, found, tried.v[row], tried.delta[row], tried.start[row], k)
 
-    moves = "parameters that move" if tried is furthest else "constant parameters"
-    if reached > 0.0:
-        return kept(Status.FAILED, -reached, f"{moves} within their boxes bring it to {v[k, i]:.4g} {unit} at sample {k}")
+    moving = tried is furthest
+    if reached > SLACK * max(1.0, float(np.abs(run[:, i]).max())):
+        who = "parameters that move within their boxes" if moving else "constant parameters that no record refutes"
+        return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s")
     if until == len(course) and free == len(course):
-        left = max(float(np.minimum(run[:, i] - half - bound.low, bound.high - run[:, i] - half).min()), 0.0)
-        said = (
-            f"whatever the parameters do at {len(course)} samples; the worst run found leaves {-float(beyond.max()):.3g} {unit}"
-        )
-        return kept(Status.PROVED, left, said)
-    said = f"proved up to sample {until} of {len(course)}" if until < len(course) else "proved for the linear law"
+        said = f"whatever the parameters do at {len(course)} samples; the worst sequences found leave {-beyond:.3g} {unit}"
+        return kept(Status.PROVED, max(left, 0.0), said)
+    said = (
+        f"proved for the first {until * dt:.4g} s of {len(course) * dt:.4g} s" if until < len(course) else "proved while linear"
+    )
     if free < len(course):
-        said += f", but from sample {free} on a command may be at its stop"
+        said += f", but after {free * dt:.4g} s a command may be at its stop"
     elif every is not None:
         said += f"; every run stays within {every[0]:.4g} to {every[1]:.4g} {unit}"
-    said += f"; {moves} leave {-reached:.3g} {unit}"
-    if tried is not furthest:
-        worse = float(beyond.max())
-        said += f", moving ones {'leave' if worse <= 0.0 else 'miss it by'} {abs(worse):.3g} {unit}"
-    return kept(Status.UNDECIDED, -reached, said)
+    if not moving:
+        said += f"; constant parameters leave {-reached:.3g} {unit}" if np.isfinite(reached) else "; nothing was tried before"
+    said += f"; moving ones {'leave' if beyond <= 0.0 else 'go beyond it by'} {abs(beyond):.3g} {unit}"
+    return kept(Status.UNDECIDED, left if free == len(course) else math.nan, said)
 
 
 def _linear_until(course: Course, v: np.ndarray, stops: Sequence[Bound]) -> np.ndarray:

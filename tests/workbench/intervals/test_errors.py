@@ -151,3 +151,25 @@ def test_what_does_not_fit_is_refused(fitted):
     gap = own.t + 5.0 * (np.arange(len(own)) > 300)
     with pytest.raises(InputError, match="cut the record"):
         ErrorRegression().fit(fitted, Dataset((replace(own, t=gap),)))
+
+
+def test_possible_parameters_are_refuted_by_no_sample_and_reach_the_ends_of_the_box(fitted):
+    """The box's own corners are refuted; what is called possible is not, and comes to every end of the box."""
+    records = Dataset((measured(3), measured(4)))
+    method = ErrorRegression()
+    errors = method.fit(fitted, records)
+    shares = method.possible(fitted, records, errors, count=400)
+    box = errors[0].modes[0].box
+    S = samples(FIR(1), Dataset(tuple(one_step_errors(fitted, e) for e in records)), ERROR_OF + "y", ["y", "u"])
+    z = S.z[:, :2]
+
+    def largest(share):
+        return np.abs(S.y - z @ (box.centre[:2] + share[:2] * box.radius[:2])).max()
+
+    bound = box.radius[2]
+    assert max(largest(share) for share in shares) <= bound * (1.0 + 1e-9)
+    assert max(largest(np.array(corner)) for corner in itertools.product([-1.0, 1.0], repeat=2)) > 1.005 * bound
+    np.testing.assert_allclose(shares[:, :2].max(axis=0), 1.0, atol=1e-3)
+    np.testing.assert_allclose(shares[:, :2].min(axis=0), -1.0, atol=1e-3)
+    np.testing.assert_allclose(shares[0, :2], -box.centre[:2] / box.radius[:2])  # the model as it is
+    assert not shares[:, 2].any()

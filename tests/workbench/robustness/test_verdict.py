@@ -10,9 +10,9 @@ from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.robustness.envelopes import Course, kernel, nominal, replay
 from workbench.robustness.loop import UncertainLoop
-from workbench.robustness.margins import margin
+from workbench.robustness.margins import corners, margin
 from workbench.robustness.sequences import Growth, load_sequence, same
-from workbench.robustness.verdict import Bound, Status, Verdict, bounds_kept, overall, refuting, stability
+from workbench.robustness.verdict import Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
 
 N = 60
 
@@ -30,9 +30,19 @@ def bound(signal="y", low=-np.inf, high=np.inf) -> Bound:
     return Bound(f"{signal} in bounds", signal, "m", np.full(N, low), np.full(N, high))
 
 
+def every_corner(course) -> np.ndarray:
+    """Constant parameters: all corners, but for what does not move with the loop."""
+    own = corners(course.lam.shape[1])
+    return np.where(np.abs(course.C).max(axis=(0, 2)) > 0.0, own, 0.0)
+
+
+def kept_of(course, limit, stops=(), moving=False) -> Kept:
+    (kept,) = bounds_kept(course, [limit], stops, of="model", dt=0.1, possible=None if moving else every_corner(course))
+    return kept
+
+
 def verdict(course, limit, stops=(), moving=False) -> Verdict:
-    (kept,) = bounds_kept(course, [limit], stops, of="model", moving=moving)
-    return kept.verdict
+    return kept_of(course, limit, stops, moving).verdict
 
 
 def test_a_scalar_loop_is_proved_and_refuted_at_its_exact_limits():
@@ -50,25 +60,26 @@ def test_a_scalar_loop_is_proved_and_refuted_at_its_exact_limits():
 
 
 def turning() -> Course:
-    """A damped turn: parameters that change sign with the state bring it further than constant ones."""
+    """A damped turn, pushed out of its rest: parameters that change sign with the state bring it further than constant ones."""
     A = 0.9 * np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
     return Course(
         A=A[None], B=[[[1.0], [0.0]]], C=[[[1.0, 0.0]]], E=[[[0.0, 1.0]]], F=np.zeros((1, 1, 1)), lam=[[0.1]], channel=[0],
-        mode=np.zeros(N), q=np.zeros((N, 2)), g=np.zeros((N, 1)), f=np.zeros((N, 1)), start=[1.0, 0.0], signals=("y",),
+        mode=np.zeros(N), q=np.eye(N, 2, k=-1) * [1.0, 0.0], g=np.zeros((N, 1)), f=np.zeros((N, 1)), start=[0.0, 0.0],
+        signals=("y",),
     )  # fmt: skip
 
 
 def test_moving_parameters_refute_only_where_they_are_said_to_move():
     course = turning()
     corners = replay(course, np.array([1.0, -1.0])[:, None, None] * np.ones((2, N, 1)))[:, :, 0]
-    (moving,) = bounds_kept(course, [bound(high=-2.0)], of="", moving=True)
+    moving = kept_of(course, bound(high=-2.0), moving=True)
     reached = float(moving.v[:, 0].max())
     assert reached > corners.max() + 0.005
     between = bound(high=0.5 * (reached + corners.max()))
     assert verdict(course, between, moving=True).status is Status.FAILED
     undecided = verdict(course, between)
     assert undecided.status is Status.UNDECIDED
-    assert "moving ones miss it by" in undecided.sentence
+    assert "moving ones go beyond it by" in undecided.sentence
     assert verdict(course, bound(high=corners.max() - 1e-6)).status is Status.FAILED
 
 
@@ -85,8 +96,9 @@ def test_errors_come_on_top_of_constant_parameters():
 def test_the_run_of_a_verdict_is_the_one_that_its_parameters_make():
     for course in (scalar(noise=0.02), turning()):
         for moving in (True, False):
-            (kept,) = bounds_kept(course, [bound(high=0.1)], of="", moving=moving)
-            np.testing.assert_allclose(replay(course, kept.delta[None])[0], kept.v, atol=1e-12)
+            kept = kept_of(course, bound(high=0.1), moving=moving)
+            np.testing.assert_allclose(replay(course, kept.delta[None], kept.start[None])[0], kept.v, atol=1e-12)
+            assert kept.verdict.margin == pytest.approx(0.1 - kept.v[kept.sample, 0], rel=1e-9)
 
 
 def test_a_course_with_constant_parameters_is_the_replay_of_them():
@@ -140,7 +152,7 @@ def test_no_claim_of_200_random_runs_is_proved_and_refuted(block):
     random, seen = np.random.default_rng(block), set()
     for seed in range(20 * block, 20 * block + 20):
         course, limit = drawn_course(seed)
-        (kept,) = bounds_kept(course, [limit], of="", moving=True)
+        kept = kept_of(course, limit, moving=True)
         seen.add(kept.verdict.status)
         delta = random.choice([-1.0, 1.0], size=(40, len(course), course.lam.shape[1]))
         tried = max(float((replay(course, delta)[:, :, 0] - limit.high).max()), float((kept.v[:, 0] - limit.high).max()))
@@ -162,10 +174,12 @@ def test_no_stability_of_200_random_loops_is_proved_and_refuted(block):
         low, high = found.certified.kappa, found.falsified.kappa
         assert low <= high
         for needed in (0.98 * low, 1.02 * high):
-            for moving in (True, False):
-                status = stability(found, needed, "stable", "", moving=moving).status
-                assert status is not (Status.FAILED if needed < low else Status.PROVED), seed
-        refuted = stability(found, 1.001 * high, "stable", "", moving=True)
+            status = stability(found, needed, "stable", "").status
+            assert status is not (Status.FAILED if needed < low else Status.PROVED), seed
+        own = stability(found, 1.0, "stable", "", possible=corners(2)).status  # parameters that stand still, of the box itself
+        lost = max(np.abs(np.linalg.eigvals(loop.at(delta))).max() for delta in corners(2)) >= 1.0
+        assert own is Status.FAILED if lost else own is not Status.FAILED, seed
+        refuted = stability(found, 1.001 * high, "stable", "")
         assert refuted.status is Status.FAILED
         # the product of the matrices of the loop itself, not of the one that was searched
         product = np.eye(len(loop.A))
@@ -177,20 +191,42 @@ def test_no_stability_of_200_random_loops_is_proved_and_refuted(block):
 def test_a_certificate_that_does_not_hold_proves_nothing():
     found = margin(drawn_loop(5))
     broken = replace(found, certified=replace(found.certified, P=-found.certified.P))
-    assert stability(found, 0.5 * found.certified.kappa, "", "", moving=True).status is Status.PROVED
-    assert stability(broken, 0.5 * found.certified.kappa, "", "", moving=True).status is Status.UNDECIDED
+    assert stability(found, 0.5 * found.certified.kappa, "", "").status is Status.PROVED
+    assert stability(broken, 0.5 * found.certified.kappa, "", "").status is Status.UNDECIDED
     lying = replace(found, falsified=replace(found.falsified, delta=0.0 * found.falsified.delta))
-    assert stability(lying, 2.0 * found.falsified.kappa, "", "", moving=True).status is Status.UNDECIDED
+    assert stability(lying, 2.0 * found.falsified.kappa, "", "").status is Status.UNDECIDED
 
 
-def test_constant_parameters_that_refute_are_on_the_circle():
-    found = margin(drawn_loop(7))
-    lost = refuting(found, moving=False)
-    assert len(lost.delta) == 1
-    assert np.abs(np.linalg.eigvals(found.loop.at(lost.kappa * lost.delta[0]))).max() == pytest.approx(1.0, abs=1e-6)
-    between = 0.5 * (found.falsified.kappa + lost.kappa)
-    if lost.kappa > 1.01 * found.falsified.kappa:
-        assert stability(found, between, "", "", moving=False).status is Status.UNDECIDED
+def test_only_parameters_that_may_be_the_machines_refute():
+    """A loop whose corner 1 is lost and corner -1 is not."""
+    loop = UncertainLoop([[0.9]], [[1.0]], [[1.0]], [0.2], [0])
+    found = margin(loop)
+    assert found.certified.kappa < 1.0
+    failed = stability(found, 1.0, "", "", possible=np.array([[1.0], [-1.0]]))
+    assert failed.status is Status.FAILED
+    assert failed.margin == pytest.approx(-0.1, abs=1e-9)
+    open_end = stability(found, 1.0, "", "", possible=np.array([[0.4], [-1.0]]))
+    assert open_end.status is Status.UNDECIDED
+    lost = refuting(found, 1.0, np.array([[1.0]]))
+    assert lost is not None
+    assert lost.growth == pytest.approx(1.1)
+    assert refuting(found, 1.0, np.empty((0, 1))) is None
+
+
+def test_a_constant_run_begins_at_its_own_rest():
+    """At rest at 1 / (0.5 - lam delta), and it stays there: nothing but the level differs from the middle."""
+    kept = kept_of(scalar(), bound(high=2.4))
+    np.testing.assert_allclose(kept.v[:, 0], 2.5, rtol=1e-12)
+    np.testing.assert_allclose(scalar().rest(np.array([-1.0, 0.0])), [1.0 / 0.6])
+    wild = replace(scalar(), A=[[[1.5]]])
+    np.testing.assert_array_equal(wild.rest(np.array([0.0, 0.0])), wild.start)  # no rest
+
+
+def test_rounding_breaks_no_bound_and_a_bound_of_nothing_is_refused():
+    still = replace(scalar(lam=0.0), q=np.full((N, 1), 0.15), start=[0.3])
+    assert verdict(still, bound(high=0.3)).status is not Status.FAILED
+    with pytest.raises(InputError, match="asks nothing"):
+        verdict(scalar(), bound())
 
 
 def test_the_worst_of_many_verdicts_counts():

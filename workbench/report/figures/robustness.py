@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+import workbench.report.figures.canvas as canvas
 from workbench.data import Channel
-from workbench.report.figures import canvas
 from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MUTED
 
