@@ -157,6 +157,29 @@ def with_limits(H, f, Y, free, low, high, way, y_low, y_high, soft, prices, ridg
     return whole, linear, A, lower, upper
 
 
+@njit(f"{_MATRIX}({_MATRIX}, f8[:, :, ::1], {_VECTOR})", cache=True, nogil=True, error_model="numpy")
+def carried(M, K, d):
+    """C_i x_i + d, i = 1..N, (N, ny), of x_{i+1} = A_i x_i + K_i d from x_1 = 0; M as in `condense`, K (N + 1, nx, ny)."""
+    N, nx, ny = len(M) - 1, K.shape[1], len(d)
+    o = M.shape[1] - ny * nx
+    out, x, moved = np.empty((N, ny)), np.zeros(nx), np.empty(nx)
+    for i in range(1, N + 1):
+        for a in range(ny):
+            total = d[a]
+            for k in range(nx):
+                total += M[i, o + a * nx + k] * x[k]
+            out[i - 1, a] = total
+        for a in range(nx):
+            total = 0.0
+            for k in range(nx):
+                total += M[i, a * nx + k] * x[k]
+            for k in range(ny):
+                total += K[i, a, k] * d[k]
+            moved[a] = total
+        x, moved = moved, x
+    return out
+
+
 @njit(f"b1({_MATRIX}, {_VECTOR}, {_VECTOR}, {_VECTOR}, f8)", cache=True, nogil=True, error_model="numpy")
 def kept(A, x, lower, upper, slack):
     """Whether x is finite and within its limits, those of the variables first, then of A x; slack: relative to 1 + |value|."""

@@ -12,6 +12,7 @@ import numpy as np
 from controllers.mpc import MPC, Extrapolated
 from controllers.observer import interpolated
 from controllers.scheduled_pid import LAW, BackCalculation, ScheduledPID, finite
+from workbench.errors import InputError
 from workbench.lpv import Basis, PiecewiseLinear, Powers
 from workbench.provenance import program
 
@@ -82,8 +83,13 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
 def mpc_matrices(law: MPC) -> dict[str, Any]:
     """What a program with a solver of its own needs to compute the commands of an MPC: frozen matrices over the schedule.
 
-    A, B, C (model), u0, y0 (operating point), L, J (observer) and P (terminal cost) by row; see PROGRAM.
+    A, B, C (model), u0, y0 (operating point), L, J (observer) and P (terminal cost) by row; see PROGRAM. Refuses a tube.
     """
+    if law.tube is not None:
+        raise InputError(
+            "its limits are tightened by a tube, which these equations do not know", file=law.name,
+            mend="export --fallback, or design it without --tube",
+        )  # fmt: skip
     model, named = law.model, lambda channels: [{"name": c.name, "unit": c.unit} for c in channels]
     points = _matrix_points(law)
     rows = [_matrices(law, rho) for rho in points]

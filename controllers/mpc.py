@@ -8,9 +8,14 @@ over x_{i+1} = A(rho_i) x_i + B(rho_i) (u_i - u0 + d) and y_i = C(rho_i) x_i + y
 cannot be reached. P is the cost of the linear-quadratic regulator from there on: without active limits the first move is that
 regulator's, whatever the horizon. Limits of the commands are hard, those of the outputs give way at a price.
 
+With a tube (`tube`) limits are for y_i and u_i of x and errors of 0 from now on, and tighter the later i is. The observer is then
+the model's own predictor, and d what stays of its errors e: cost and target see them go on as K d and d, the limits do not.
+
 What is done when no solver has an answer stands in `receding`.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -32,11 +37,14 @@ from controllers.receding import (
     weights_by,
 )
 from controllers.scheduled_pid import ScheduledPID
+from controllers.tube import Tube, design_tube, predictor_observer
 from workbench.errors import InputError
+from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, model_from_dict
 from workbench.records import field, record
 
 KIND = "mpc"
+KEPT = 2e-6  # relative slack, of which half are the solvers', up to which a plan is in the tube
 POINTS = 11  # schedule values at which terminal costs are found
 
 
@@ -74,7 +82,7 @@ class MPCState(NamedTuple):
 class MPC(Receding):
     """The law; see the module. horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
 
-    fallback: a PID on the same channels for when nothing else is left.
+    fallback: a PID on the same channels for when nothing else is left. tube: tightened limits, proved when the law is made.
     """
 
     model: LPVModel
@@ -89,6 +97,7 @@ class MPC(Receding):
     fallback: ScheduledPID
     prediction: Prediction = field(default_factory=Extrapolated)
     name: str = "mpc"
+    tube: Tube | None = None
 
     def __post_init__(self):
         self.check(self.actuated, self.measured)
@@ -98,6 +107,8 @@ class MPC(Receding):
                 file=self.name, mend="design it on the same model",
             )  # fmt: skip
         _ = self.terminal  # an uncontrollable model is refused here, not at the first sample
+        if self.tube is not None:
+            self.tube.check(self)
 
     # ---- what a loop needs to know ----------------------------------------------------------------------------------------
 
@@ -139,14 +150,16 @@ class MPC(Receding):
             "prediction_memory": self.prediction.memory if isinstance(self.prediction, Extrapolated) else None,
             "observer": {key: getattr(self.observer, key) for key in ("at_inputs", "rho", "L", "J")},
             "model": self.model.to_dict(),
-        }  # fmt: skip
+        } | ({} if self.tube is None else {"tube": vars(self.tube)})  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "MPC":
         """The law that `to_dict` wrote."""
         model, memory = model_from_dict(content["model"]), content["prediction_memory"]
         prediction = Held() if memory is None else Extrapolated(memory)
-        return cls(model=model, observer=Observer(model, **content["observer"]), prediction=prediction, **common_fields(content))
+        observer = Observer(model, **content["observer"])
+        tube = Tube(**content["tube"] | {"parameters": tuple(content["tube"]["parameters"])}) if "tube" in content else None
+        return cls(model=model, observer=observer, prediction=prediction, tube=tube, **common_fields(content))
 
     # ---- one sample -------------------------------------------------------------------------------------------------------
 
@@ -161,7 +174,10 @@ class MPC(Receding):
         z, push = self._corrected(state, model, rho, np.asarray(y, dtype=float))
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, len(self.measured)))
         wanted = np.where(np.isfinite(wanted), wanted, model.outputs(z))  # no set-point: stay where it is
-        found, status = self._solved(self._program(state.u, model, z, np.vstack([wanted, wanted[-1:]])))
+        program = self._program(state.u, model, z, np.vstack([wanted, wanted[-1:]]), push)
+        found, status = self._solved(program)
+        if self.tube is not None and found is not None and self._slack(program, found) > KEPT:
+            status = Status.OUTSIDE_TUBE
         u, plan = self._acted(state.u, state.plan, found, status, wanted[0], np.asarray(y, dtype=float), rho)
         return u, MPCState(model.moved(z, u, push), u, rho, slope, plan)
 
@@ -183,25 +199,70 @@ class MPC(Receding):
         """The observer's state after this sample's measurement, and what that moves it by on its way to the next."""
         seen = bool(np.isfinite(y).all())
         if np.isnan(state.z).any():  # first sample: as if the machine had stood at this measurement under the last command
-            return model.at_rest(state.u, y if seen else model.y0[0]), np.zeros(len(state.z))
+            y = y if seen else model.y0[0]
+            if self.tube is None:
+                return model.at_rest(state.u, y), np.zeros(len(state.z))
+            z = model.predictor_at_rest(state.u, y)
+            return z, model.moved_by(z[model.nx :])
         e = y - model.outputs(state.z) if seen else np.zeros(len(y))
+        if self.tube is not None:  # outputs(z) holds d, which the predictor knows nothing of
+            d = state.z[model.nx :]
+            return state.z + self.observer.gains(rho)[0] @ e, model.moved_by(e + d if seen else np.zeros(len(y)))
         L, J = self.observer.gains(rho)
         return state.z + L @ e, J @ e
 
-    def _program(self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray) -> Program:
-        """The quadratic program in the commands and the slacks of the outputs."""
+    def _program(
+        self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray, push: np.ndarray | None = None
+    ) -> Program:
+        """The quadratic program in the commands and the slacks of the outputs; push: what this sample's error moves."""
         from controllers.condensing import condense, with_limits  # compiled when first needed
 
         nx, nu, ny, N = model.nx, model.nu, model.ny, self.horizon
         xt, ut, yt = self._target(last, model, z, r[-1])
         d_in, d_out = model.disturbances(z)
         pushed, bias, x = model.pushed(d_in - model.u0[:N]), model.y0 + d_out, z[:nx].copy()
+        if self.tube is not None:
+            pushed[1:] += model.K[1:N] @ d_out
+            pushed[0] += 0.0 if push is None else push[:nx]
         H, f, Y, free = condense(
             model.M, nx, nu, ny, pushed, bias, x, r + (yt - r[-1]), np.array(last), xt, ut,
             self._Q, self._S, self._R, self.terminal_cost(model.path[-1]),
         )  # fmt: skip
         low, high = self._reach(last)
-        return Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
+        program = Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
+        if self.tube is not None:
+            self._tighten(program, model.by_errors(d_out))
+        return program
+
+    def _slack(self, program: Program, found: np.ndarray) -> float:
+        """How far a plan leaves the limits of outputs without slack, relative to what stands in them."""
+        n, rows = found.size, slice(found.size - len(self.low), None)
+        values, first = program.A[rows, :n] @ found.ravel(), len(program.lower) - len(program.A) + rows.start
+        over = np.maximum(values - program.upper[first:], program.lower[first:] - values)
+        return float((over / (1.0 + np.abs(values))).max(initial=0.0))
+
+    def _tighten(self, program: Program, moved: np.ndarray) -> None:
+        """Leave room for the tube in a program's limits; moved (N, ny): what d moves outputs in it, which limits do not see."""
+        assert self.tube is not None
+        soft = self._soft[2]
+        first = len(program.lower) - len(program.A)
+        moves = self.tube.moves[1:].ravel()
+        rows = slice(first, first + len(moves))
+        program.lower[rows] += moves
+        program.upper[rows] -= moves
+        above, below = moved[:, soft] - self.tube.y[:, soft], moved[:, soft] + self.tube.y[:, soft]
+        both = np.stack([above, below]).transpose(2, 0, 1).ravel()  # of each output the upper limits, then the lower ones
+        program.upper[rows.stop :] += both  # infinite for the lower ones, and the other way round
+        program.lower[rows.stop :] += both
+
+    def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest commands (N, nu), with the room of the tube."""
+        if self.tube is None:
+            return super()._reach(last)
+        way = self._tight_ways
+        low, high = np.minimum(self.low + self.tube.u, last + way), np.maximum(self.high - self.tube.u, last - way)
+        low[0], high[0] = np.maximum(low[0], last - way[0]), np.minimum(high[0], last + way[0])
+        return low, high
 
     def _target(
         self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray
@@ -211,17 +272,30 @@ class MPC(Receding):
 
         d_in, d_out = model.disturbances(z)
         x0, X, y0, G = steady(model.M[-1], model.nx, model.nu, model.ny, d_in - model.u0[-1], model.y0[-1] + d_out)
-        r = np.minimum(np.maximum(r, self.y_low), self.y_high)
+        y_low, y_high, low, high = self.y_low, self.y_high, self.low, self.high
+        if self.tube is not None:
+            own = np.linalg.solve(np.eye(model.nx) - model.matrices(len(model.M) - 1)[0], model.K[-1] @ d_out)
+            x0, moved = x0 + own, model.matrices(len(model.M) - 1)[2] @ own
+            y0, moved = y0 + moved, moved + d_out
+            y_low, y_high = y_low + self.tube.y[-1] + moved, y_high - self.tube.y[-1] + moved
+            low, high = low + self.tube.u[-1], high - self.tube.u[-1]
+        r = np.minimum(np.maximum(r, y_low), y_high)
         GQ = G.T @ self._Q
         H, f = GQ @ G + self._R, GQ @ (y0 - r) - self._R @ last
         H.flat[:: len(H) + 1] += TINY * np.trace(H) / len(H)
         u = np.linalg.solve(H, -f)
-        if np.any(u < self.low) or np.any(u > self.high):
-            bounded = solved_by_daqp(Program(H, f, np.empty((0, len(u))), np.array(self.low), np.array(self.high)))
-            u = np.minimum(np.maximum(u if bounded is None else bounded, self.low), self.high)
+        if np.any(u < low) or np.any(u > high):
+            bounded = solved_by_daqp(Program(H, f, np.empty((0, len(u))), np.array(low), np.array(high)))
+            u = np.minimum(np.maximum(u if bounded is None else bounded, low), high)
         return X @ u + x0, u, G @ u + y0
 
     # ---- found once -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _tight_ways(self) -> np.ndarray:
+        """Largest moves by the samples of the horizon that the tube leaves, (N, nu)."""
+        assert self.tube is not None
+        return np.cumsum(self._way - self.tube.moves, axis=0)
 
     @cached_property
     def _R(self) -> np.ndarray:
@@ -232,6 +306,11 @@ class MPC(Receding):
         """A, B, C of every term, flat side by side."""
         model = self.model
         return np.hstack([M.reshape(len(model.terms), -1) for M in (model.A, model.B, model.C)])
+
+    @cached_property
+    def _flat_K(self) -> np.ndarray:
+        """K of every term, flat."""
+        return self.model.predictor.K.reshape(len(self.model.terms), -1)  # type: ignore[union-attr]
 
     @cached_property
     def _functions(self) -> np.ndarray:
@@ -288,7 +367,10 @@ class _Along:
         before = path[0] - (path[1] - path[0]) * np.arange(law._latest, 0, -1)
         phi = law.model.basis(np.concatenate([np.clip(before, *law.model.span), path]))
         late = np.arange(len(path))[:, None] + law._latest - law._delays
-        self.M = phi[late, law._functions] @ law._flat
+        weight = phi[late, law._functions]
+        self.M = weight @ law._flat
+        if law.tube is not None:
+            self.K = (weight @ law._flat_K).reshape(len(path), self.nx, self.ny)
         self.u0, self.y0 = law.operating(path)
 
     def matrices(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -316,6 +398,23 @@ class _Along:
         A, B, _ = self.matrices(0)
         x = A @ z[: self.nx] + B @ (u - self.u0[0] + self.disturbances(z)[0])
         return np.concatenate([x, z[self.nx :]]) + push
+
+    def moved_by(self, e: np.ndarray) -> np.ndarray:
+        """What an error e of this sample's prediction moves (x, d) by on its way to the next."""
+        return np.concatenate([self.K[0] @ e, np.zeros(self.ny)])
+
+    def by_errors(self, d: np.ndarray) -> np.ndarray:
+        """What errors d of all samples to come move the outputs of samples 1 .. N by, (N, ny); this sample's is known."""
+        from controllers.condensing import carried
+
+        return carried(self.M, self.K, d)
+
+    def predictor_at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """(x, e) of the predictor of a machine that has stood at y under u."""
+        A, B, C = self.matrices(0)
+        own = y - self.y0[0]
+        x = np.linalg.solve(np.eye(self.nx) - A + self.K[0] @ C, B @ (u - self.u0[0]) + self.K[0] @ own)
+        return np.concatenate([x, own - C @ x])
 
     def at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """z of a machine that stands at y under u."""
@@ -351,13 +450,20 @@ def design_mpc(
     y_low: np.ndarray | None = None,
     y_high: np.ndarray | None = None,
     prediction: Prediction | None = None,
+    errors: Sequence[IntervalModel] | None = None,
 ) -> MPC:
     """An LPV-MPC on `model`. Limits default to those of the fallback law, outputs to none.
 
-    weights default: `default_weights`.
+    weights default: `default_weights`. errors: of the model's outputs, as `ErrorRegression` finds them; the limits are tightened
+    by a tube that holds whatever they do. Its observer is the model's predictor.
     """
-    return MPC(
+    if errors is not None:
+        if observer is not None:
+            raise InputError("a tube needs the model's own predictor as observer", file=model.name, mend="give no observer")
+        observer = predictor_observer(model)
+    law = MPC(
         model=model, observer=observer or design_observer(model), weights=weights or default_weights(model), horizon=horizon,
         fallback=fallback, prediction=prediction or Extrapolated(),
         **limits_with(fallback, low=low, high=high, rate=rate, y_low=y_low, y_high=y_high),
     )  # fmt: skip
+    return law if errors is None else replace(law, tube=design_tube(law, errors))

@@ -27,6 +27,7 @@ class Status(Enum):
     """Where a command came from."""
 
     OPTIMAL = "optimal"
+    OUTSIDE_TUBE = "optimal, outside the tube"  # no plan keeps the tightened limits of outputs
     SECOND_SOLVER = "second solver"
     LAST_PLAN = "last plan"
     FALLBACK = "fallback law"

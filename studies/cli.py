@@ -156,6 +156,8 @@ def parser() -> argparse.ArgumentParser:
         "examples:\n  workbench design scheduled-pid --model ssm.json --setpoint w3=100,theta=0\n"
         "  workbench design pid --model ssm.json --at 0.018 --sensitivity 1.4\n"
         "  workbench design mpc --model ssm.json --low V1=0,V2=0 --high V1=5,V2=5 --keep theta=-20:20\n"
+        "  workbench design mpc --model ssm.json --low V1=0,V2=0 --high V1=5,V2=5 --keep w3=60:140,theta=-20:20 \\\n"
+        "    --tube --records a.csv b.csv\n"
         "  workbench design nmpc --model ssm.json --plant web-winding --fallback scheduled-pid.json",
     )
     sub.add_argument("kind", metavar="LAW", help="scheduled-pid, pid (fixed gains), mpc, or nmpc (on the plant's own equation)")
@@ -192,6 +194,12 @@ def parser() -> argparse.ArgumentParser:
         "--move", type=float, default=0.003, metavar="W", help="mpc, nmpc: price of moving a command (default 0.003)"
     )
     sub.add_argument("--keep", action="append", default=[], metavar="Y=A:B,..", help="mpc, nmpc: outputs to keep between A and B")
+    sub.add_argument(
+        "--tube", action="store_true", help="mpc: tighten limits so that no error that --records leave open breaks them"
+    )
+    sub.add_argument("--records", nargs="+", action="extend", default=[], metavar="RECORD", help="--tube: records for the errors")
+    sub.add_argument("--lags", type=_positive, default=1, help="--tube: samples of y and u that errors depend on (default 1)")
+    sub.add_argument("--bound", metavar="E,E", help="--tube: largest error of each output beyond its parameters")
     sub.add_argument("--fallback", metavar="FILE", help="mpc, nmpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
 

@@ -9,16 +9,21 @@ import numpy as np
 
 from controllers.export import gain_csv
 from controllers.files import load_controller, save_controller
-from controllers.mpc import default_weights, design_mpc
+from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, frequencies, loops_of, worst_margins
 from controllers.scheduled_pid import Gains, ScheduledPID
+from controllers.tube import taken
 from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, parse_numbers, run_folder
+from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.files import write_json, write_text
+from workbench.intervals.errors import ErrorRegression
+from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
+from workbench.readers import read
 from workbench.report import figures
 from workbench.report.page import Block, Report, Section, Table, write_report
 
@@ -36,6 +41,8 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
     say(_described(model))
     if np.any(model.D):
         say("note: its outputs see the command of their own sample, which held commands cannot do: identify --no-feedthrough")
+    if kind != "mpc" and options.tube:
+        raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
     if kind in ("mpc", "nmpc"):
         return _design_planning(options, kind, model, say, progress)
     return _design_pid(options, kind, model, say, progress)
@@ -71,6 +78,7 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
 def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
     """Writes mpc.json or nmpc.json, with the model or the plant and the fallback law inside, and design.json."""
     chosen = _plant_of(options, kind)
+    errors = _errors_of(options, model, progress)
     keep = _ranges(options.keep, model)
     if options.fallback:
         for option, given in (("--robust-to", options.robust_to), ("--setpoint", options.setpoint)):
@@ -91,7 +99,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         law = design_nmpc(chosen.plant, fallback, base=chosen.base, solver=solver, **common)
         said, files = f"NMPC on the equation of {chosen.plant.name}, {options.solver}", chosen.files
     else:
-        law = design_mpc(model, fallback, **common)
+        law = design_mpc(model, fallback, errors=errors, **common)
         said, files = f"MPC, disturbances at the {'inputs' if law.observer.at_inputs else 'outputs'}", ()
     folder = run_folder(options.out, "design")
     path = save_controller(law, folder / f"{kind}.json")
@@ -100,10 +108,45 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         if np.isfinite(a) or np.isfinite(b):
             say(f"  {channel.name} is kept from {a:g} to {b:g} {channel.unit} where that can be done")
     _say_limits(law, model, say)
+    tube = _say_tube(law, model, say) if isinstance(law, MPC) and law.tube is not None else {}
     say("no margins are computed for a law that plans: try it with simulate --setpoint, and on a plant with --effect")
     say(f"controller -> {path}")
-    read = [options.model, *options.robust_to, *([options.fallback] if options.fallback else []), *files]
-    return _finished(options, folder, path, {"kind": kind, "weights": vars(law.weights)}, read, say)
+    read = [options.model, *options.robust_to, *([options.fallback] if options.fallback else []), *files, *options.records]
+    return _finished(options, folder, path, {"kind": kind, "weights": vars(law.weights)} | tube, read, say)
+
+
+def _errors_of(options: Namespace, model: LPVModel, progress: Say) -> tuple[IntervalModel, ...] | None:
+    """What the records leave open of the model's errors, for a tube; None without one."""
+    if not options.tube and options.records:
+        raise InputError("--records is for --tube", mend="give --tube too, or leave --records out")
+    if not options.tube:
+        return None
+    if not options.records:
+        raise InputError("--tube without records", mend="give --records R.csv ..: they bound the model's errors")
+    progress("errors that the records leave open")
+    bound = None
+    if options.bound is not None:
+        try:
+            bound = [float(part) for part in options.bound.split(",")]
+        except ValueError:
+            raise InputError(f"--bound {options.bound}", mend="a number for each output, with commas between") from None
+    return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(read(path) for path in options.records)))
+
+
+def _say_tube(law: MPC, model: LPVModel, say: Say) -> dict[str, Any]:
+    """What the tube takes of the limits."""
+    tube = law.tube
+    assert tube is not None
+    parts = np.split(100.0 * taken(law, tube), [len(model.outputs), len(model.outputs) + len(model.inputs)])
+    say("tube: whatever errors the records leave open, a plan without slack keeps the outputs within their limits")
+    for c, W, room, part in zip(model.outputs, tube.error, tube.y.T, parts[0], strict=True):
+        inside = f"{room[0]:.3g} to {room[-1]:.3g} {c.unit}".rstrip()
+        say(f"  {c.name}: errors up to {W:.3g}, plans stay {inside} inside the limits, {part:.1f} % of half their width")
+    for c, part, rate in zip(model.inputs, *parts[1:], strict=True):
+        say(f"  {c.name}: {part:.1f} % of half the width of its limits, {rate:.1f} % of its rate")
+    say(f"  proved at {len(tube.rho)} value{'s' * (len(tube.rho) > 1)} of the schedule, checked whenever the file is read")
+    limit = tube.limit(law)
+    return {"tube": {"error": tube.error, "outputs": tube.y[-1], "commands": tube.u[-1], "moves": tube.moves[-1], "limit": limit}}
 
 
 def _plant_of(options: Namespace, kind: str) -> Chosen | None:
