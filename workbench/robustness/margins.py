@@ -46,7 +46,7 @@ LONGEST = 200
 MOST = 1e6  # a margin beyond is none
 STARTS = 3  # random sequences of each length
 SWEEPS = 12
-CLOSE, ROUGH = 1.01, 1.1  # ratios of bounds at which a search ends, and one that another goes on from
+CLOSE, ROUGH = 1.03, 1.1  # ratios of bounds at which a search ends, and one that another goes on from
 ADDED = 2  # corners that enter the program in a round
 ROUNDS = 30
 
@@ -274,7 +274,7 @@ def disk_margin(L: np.ndarray) -> float:
 
 
 def certified(loop: UncertainLoop, beyond: float) -> Certificate:
-    """The largest kappa below `beyond`, within a hundredth, for which a certificate was found and holds."""
+    """The largest kappa below `beyond`, within the ratio CLOSE, for which a certificate was found and holds."""
     high, low = beyond, beyond / 2.0
     while (best := _held(_by_multipliers(loop, low), loop)) is None:
         high, low = low, low / 2.0
