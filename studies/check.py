@@ -149,10 +149,9 @@ def verdict_table(verdicts: Sequence[Verdict]) -> Table:
     rows = tuple((v.claim, v.of, v.status.value, v.margin, v.unit, v.sentence, v.witness) for v in verdicts)
     return Table(
         "Verdicts", ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
-        caption="PROVED: a certificate, checked in outward-rounded arithmetic. PASSED: no counterexample was found, which proves "
-        "nothing. FAILED: the file named runs again with workbench simulate --replay. UNDECIDED: neither. A negative margin is "
-        "what is missing.",
-    )  # fmt: skip
+        caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver. PASSED: no "
+        "counterexample was found, which proves nothing. FAILED: the file named runs again with workbench simulate --replay. "
+        "UNDECIDED: neither; the margin is what is missing to a proof.",    )  # fmt: skip
 
 
 # ---- on the identified model --------------------------------------------------------------------------------------------

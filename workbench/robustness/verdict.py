@@ -1,6 +1,7 @@
 """Verdicts: what is claimed of a loop, whether it is proved or refuted, by how much, and what shows it.
 
-    PROVED      a certificate holds, checked in outward-rounded arithmetic outside the solver
+    PROVED      a certificate holds, checked in outward-rounded arithmetic outside the solver; or the kernel's bound does, which
+                needs no solver and is widened by 1e-9 of itself, far more than it rounds
     PASSED      no counterexample among N runs: sampling never proves
     FAILED      a counterexample was found, and replayed
     UNDECIDED   everything else: neither a proof nor a counterexample
