@@ -151,7 +151,8 @@ def verdict_table(verdicts: Sequence[Verdict]) -> Table:
         "Verdicts", ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
         caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver. PASSED: no "
         "counterexample was found, which proves nothing. FAILED: the file named runs again with workbench simulate --replay. "
-        "UNDECIDED: neither; the margin is what is missing to a proof.",    )  # fmt: skip
+        "UNDECIDED: neither; the margin is what is missing to a proof.",
+    )  # fmt: skip
 
 
 # ---- on the identified model --------------------------------------------------------------------------------------------

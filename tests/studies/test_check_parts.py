@@ -1,0 +1,109 @@
+"""What check asks of a loop, number by number: bounds at every sample, stops, and what the law keeps by itself."""
+
+import numpy as np
+import pytest
+
+from controllers.pid import pid
+from studies.check import _asked, _by_the_law, _in_motion, _stops
+from workbench.data import Channel
+from workbench.intervals.domains import Box
+from workbench.intervals.errors import ERROR_OF
+from workbench.intervals.model import IntervalModel, Mode, Unrefuted
+from workbench.intervals.regressors import FIR
+from workbench.intervals.semantics import ParameterBox
+from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, Powers, Predictor, Term
+from workbench.robustness.envelopes import nominal
+from workbench.robustness.limits import Limit
+from workbench.robustness.loop import course, course_of, driven, machine_with_errors, with_rates
+from workbench.robustness.verdict import Bound, Status
+
+DT, N = 0.1, 60
+BOTH = (Term(0), Term(1))
+LAW = pid(("u",), ("y",), ("r",), DT, [0.4], [0.5], low=[-2.0], high=[3.0], rate=[5.0])
+
+
+def scheduled(exponents=(0.0, 1.0), terms=BOTH, slope=0.1) -> LPVModel:
+    """x+ = (0.5 + slope rho) x + 0.3 u + 0.1 e, y = x + e, rho from 0 to 1."""
+    F, G = np.array([[[0.4]], [[slope]]]), np.array([[[0.3]], [[0.0]]])
+    K, C = np.array([[[0.1]], [[0.0]]]), np.array([[[1.0]], [[0.0]]])
+    point = OperatingPoint(CONSTANT, np.zeros((1, 1)), np.zeros((1, 1)))
+    return LPVModel(
+        "scheduled", DT, (Channel("u", "V", "input"),), (Channel("y", "m", "output"),), Channel("rho", "m", "schedule"),
+        (0.0, 1.0), Powers(exponents), terms, F + K @ C, G, C, np.zeros((2, 1, 1)), point, Predictor(F, G, K, 5),
+    )  # fmt: skip
+
+
+def errors(radius=(0.05, 0.05, 0.01)) -> tuple[IntervalModel, ...]:
+    channels = (Channel("y", "m", "input"), Channel("u", "V", "input"))
+    mode = Mode(ParameterBox(np.zeros(3), radius), Box((-9.0, -9.0), (9.0, 9.0)), (), 100, 0.1, 0.9)
+    own = IntervalModel(
+        "e", DT, channels, Channel(ERROR_OF + "y", "m", "output"), None, FIR(1), Unrefuted(), 0.0, np.zeros(2), 1.0, (mode,)
+    )
+    return (own,)
+
+
+def test_a_limit_holds_from_its_beginning_on_and_a_band_from_when_it_has_settled():
+    t = DT * np.arange(N)
+    r = np.where(t >= 2.0, 1.0, 0.0)[:, None]
+    low, high = _asked(Limit("y", low=-1.0, high=2.0, begin=0.5), LAW, r, "m")
+    np.testing.assert_array_equal(np.isfinite(low.low), t >= 0.5 - 1e-9)
+    assert not np.isfinite(low.high).any()
+    assert set(high.high[t >= 0.55]) == {2.0}
+    (band,) = _asked(Limit("y", band=0.1, settling=1.0), LAW, r, "m")
+    asked = np.isfinite(band.low)
+    np.testing.assert_array_equal(asked, t >= 3.0 - 1e-9)
+    np.testing.assert_allclose(band.low[asked], 0.9)
+    np.testing.assert_allclose(band.high[asked], 1.1)
+    (rate,) = _asked(Limit("u", rate=4.0, begin=1.0), LAW, r, "V")
+    assert (rate.signal, rate.unit) == ("rate of u", "V/s")
+    np.testing.assert_array_equal(np.isfinite(rate.high), t >= 1.1 - 1e-9)  # between samples of which both are from then on
+    np.testing.assert_array_equal(rate.low, -rate.high)
+
+
+def test_stops_are_the_laws_own_limits():
+    level, rate = _stops(LAW, N)
+    assert (level.signal, level.low[0], level.high[-1]) == ("u", -2.0, 3.0)
+    assert (rate.signal, rate.low[0], rate.high[-1]) == ("rate of u", -5.0, 5.0)
+    assert not _stops(pid(("u",), ("y",), ("r",), DT, [0.4], [0.5]), N)
+
+
+@pytest.mark.parametrize(
+    ("signal", "low", "high", "kept"),
+    [
+        ("u", -2.0, 3.0, True), ("u", -2.0, 2.9, False), ("u", -1.9, 3.0, False), ("y", -2.0, 3.0, False),
+        ("rate of u", -5.0, 5.0, True), ("rate of u", -4.9, 4.9, False),
+    ],
+)  # fmt: skip
+def test_the_law_keeps_what_is_no_tighter_than_its_own_limit(signal, low, high, kept):
+    assert _by_the_law(LAW, Bound("", signal, "", np.full(N, low), np.full(N, high))) is kept
+
+
+def test_rates_are_changes_of_the_command_per_second():
+    loop = with_rates(driven(machine_with_errors(scheduled(), errors(), 0.5), LAW), ["u"])
+    r = np.where(np.arange(N) > 10, 1.0, 0.2)[:, None]
+    v = nominal(course([loop], r)).v
+    u, rate = v[:, loop.signals.index("u")], v[:, loop.signals.index("rate of u")]
+    np.testing.assert_allclose(rate[1:], np.diff(u) / DT, atol=1e-12)
+    assert rate[0] == pytest.approx(0.0, abs=1e-12)  # from rest
+    assert np.abs(rate).max() > 1.0
+
+
+def test_without_noise_only_what_moves_is_uncertain():
+    args = (scheduled(), errors(), LAW, np.full(N, 0.5), np.zeros((N, 1)))
+    names = course_of(*args, noise=True).lam[0], course_of(*args, noise=False).lam[0]
+    np.testing.assert_array_equal(names[0], [0.05, 0.05, 0.01])
+    np.testing.assert_array_equal(names[1], [0.05, 0.05, 0.0])
+
+
+def test_in_motion_only_a_loop_that_is_linear_between_its_nodes_is_proved():
+    def asked(model, radius=(0.05, 0.05, 0.01)):
+        return _in_motion(model, errors(radius), LAW, 0.5, 3, 1.0, "", lambda _: None)
+
+    assert asked(scheduled()).status is Status.PROVED
+    assert asked(scheduled(), (0.6, 0.6, 0.01)).status is Status.UNDECIDED  # wide boxes
+    curved = asked(scheduled(exponents=(0.0, 2.0)))
+    assert curved.status is Status.UNDECIDED
+    assert "halfway between two" in curved.sentence
+    late = asked(scheduled(terms=(Term(0), Term(1, 2))))
+    assert late.status is Status.UNDECIDED
+    assert "delays of the model's schedule of up to 2 samples" in late.sentence
