@@ -282,7 +282,10 @@ def _judged(
     beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())
     asked, half = np.isfinite(bound.low) | np.isfinite(bound.high), outer.half[:, i]
     left = float(np.minimum(run[:, i] - half - bound.low, bound.high - run[:, i] - half).min())
-    every = (float((run[:, i] - half)[asked].min()), float((run[:, i] + half)[asked].max())) if free == len(course) else None
+    below, above = run[:, i] - half, run[:, i] + half
+    if until == len(course):  # at single samples by a dual, which is tighter
+        below, above = np.maximum(below, bound.low), np.minimum(above, bound.high)
+    every = (float(below[asked].min()), float(above[asked].max())) if free == len(course) else None
 
     def kept(status: Status, margin: float, said: str) -> Kept:
         found = Verdict(bound.claim, of, status, margin, unit, said, every=every)
