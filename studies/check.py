@@ -31,24 +31,22 @@ from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
 from workbench.robustness.envelopes import Course, kernel, nominal
-from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
+from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, same, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved
-from workbench.robustness.loop import UncertainLoop, check_law, driven, interpolated, machine_with_errors
+from workbench.robustness.loop import RATE_OF, UncertainLoop, check_law, driven, interpolated, machine_with_errors
 from workbench.robustness.margins import Falsified, Margin, disk_margin, margin
 from workbench.robustness.schedules import scheduled_margin
-from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence, same
+from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence
 from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
 from workbench.simulate import Scenario, simulate
 
 Say = Callable[[str], None]
 
-NODES = 5  # of the schedule at which the loop is proved
 GRID = 25  # of the schedule at which |S| is looked at
 RUNS, STEPPED = 400, 40  # of the plant for each limit; of a law that is computed step by step
 MOTION = 1.1  # ratio of bounds at which the search of a certificate in motion ends
 KNOWN = 0.01  # widths of the model's span by which a schedule may leave it
 SURE = 1e-3  # probability that a statement about sampling is wrong
-RATE = "rate of "
 
 
 @record
@@ -89,12 +87,8 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
         left = open_errors(model, records, options)
         for line in _described(left.errors):
             say(line)
-        parts.append(
-            (
-                "On the identified model",
-                on_model(left, law, limits, chosen, folder, options.nodes, options.rate, progress),
-            )
-        )
+        own = on_model(left, law, limits, chosen, folder, options.nodes, options.rate, progress)
+        parts.append(("On the identified model", own))
     if chosen is not None and model is None and any((limits.stable, limits.margin, limits.sensitivity, limits.disk)):
         said = "asked of the loop itself: give --model and --records"
         loop = [Verdict(name, "no model", Status.UNDECIDED, math.nan, "", said) for name in claimed(replace(limits, limits=()))]
@@ -145,10 +139,10 @@ def headline(name: str, status: Status, verdicts: Sequence[Verdict]) -> str:
     return f"{said} {counted(verdicts)}.\n\n" + "\n\n".join(f"{v.claim} ({v.of}): {v.sentence}." for v in worst[:4])
 
 
-def verdict_table(verdicts: Sequence[Verdict]) -> Table:
+def verdict_table(verdicts: Sequence[Verdict], title: str = "Verdicts") -> Table:
     rows = tuple((v.claim, v.of, v.status.value, v.margin, v.unit, v.sentence, v.witness) for v in verdicts)
     return Table(
-        "Verdicts", ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
+        title, ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
         caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver. PASSED: no "
         "counterexample was found, which proves nothing. FAILED: the file named runs again with workbench simulate --replay. "
         "UNDECIDED: neither; the margin is what is missing to a proof.",
@@ -222,10 +216,10 @@ def _stability(
         where = f" at {_told(model, rho)}" if rho is not None else ""
         progress(f"stability{where}")
         claim = f"stable{where}" + f" in boxes {needed:g} times as wide" * (needed != 1.0)
-        machine = machine_with_errors(model, errors, rho)
-        loop = driven(machine, law, rho).undriven()
+        whole = driven(machine_with_errors(model, errors, rho), law, rho)
+        loop = whole.undriven()
         # beyond the boxes themselves nothing is known of what the records leave open: there sequences within them refute
-        constant = None if limits.moving or needed != 1.0 else left.possible[:, np.abs(machine.T).max(axis=1) > 0.0]
+        constant = None if limits.moving or needed != 1.0 else left.possible[:, whole.moving]
         try:
             own = margin(loop)
         except InputError as reason:
@@ -355,8 +349,8 @@ def _disk(left: Open, law: ScheduledPID, asked: float, nodes: int, of: str) -> V
     tried = np.vstack([np.zeros((1, left.possible.shape[1])), left.possible])
     for rho in [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist():
         machine, K = machine_with_errors(model, left.errors, rho), law.response(omega, rho)
-        moving = np.abs(machine.T).max(axis=1) > 0.0
-        stable = np.abs(np.linalg.eigvals(driven(machine, law, rho).undriven().at(tried[:, moving]))).max(axis=1) < 1.0
+        whole = driven(machine, law, rho)
+        stable = np.abs(np.linalg.eigvals(whole.undriven().at(tried[:, whole.moving]))).max(axis=1) < 1.0
         for number, delta in enumerate(tried):
             own = disk_margin(K @ machine.response(omega, law.actuated, law.measured, delta)) if stable[number] else 0.0
             middle = min(middle, own) if number == 0 else middle
@@ -418,7 +412,7 @@ def _bounds(
         said = "the law itself never commands beyond it"
         verdicts.append(Verdict(", ".join(bound.claim for bound in clipped), of, Status.PROVED, 0.0, "", said))
     stops = _stops(law, len(run.references))
-    rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE) for b in (*wanted, *stops) if b.signal.startswith(RATE)))
+    rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE_OF) for b in (*wanted, *stops) if b.signal.startswith(RATE_OF)))
     noise, model = limits.run.seed is not None, left.model
     passage = Passage(model, left.errors, controller_content(law), run.rho, run.references, noise, rates)
     progress("the loop along the run")
@@ -475,7 +469,7 @@ def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bo
             found.append(Bound(claim, limit.signal, unit, -none, np.where(since, value, np.inf)))
         elif kind == "rate":
             inner = np.where(since & np.append(False, since[:-1]), value, np.inf)
-            found.append(Bound(claim, f"{RATE}{limit.signal}", f"{unit}/s", -inner, inner))
+            found.append(Bound(claim, f"{RATE_OF}{limit.signal}", f"{unit}/s", -inner, inner))
         else:
             r = references[:, law.measured.index(limit.signal)]
             moved = np.flatnonzero(np.diff(r))
@@ -487,11 +481,11 @@ def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bo
 
 def _by_the_law(law: ScheduledPID, bound: Bound) -> bool:
     """Whether a bound on a command is no tighter than the law's own limit."""
-    name = bound.signal.removeprefix(RATE)
+    name = bound.signal.removeprefix(RATE_OF)
     if name not in law.actuated:
         return False
     i = law.actuated.index(name)
-    low, high = (-law.rate[i], law.rate[i]) if bound.signal.startswith(RATE) else (law.low[i], law.high[i])
+    low, high = (-law.rate[i], law.rate[i]) if bound.signal.startswith(RATE_OF) else (law.low[i], law.high[i])
     return bool(np.all(bound.low <= low) and np.all(high <= bound.high))
 
 
@@ -502,7 +496,7 @@ def _stops(law: ScheduledPID, N: int) -> list[Bound]:
         if np.isfinite(low) or np.isfinite(high):
             found.append(Bound(f"{name} between its stops", name, law.unit(name), np.full(N, low), np.full(N, high)))
         if np.isfinite(rate):
-            found.append(Bound(f"{name} below its rate", f"{RATE}{name}", law.unit(name), np.full(N, -rate), np.full(N, rate)))
+            found.append(Bound(f"{name} below its rate", f"{RATE_OF}{name}", law.unit(name), np.full(N, -rate), np.full(N, rate)))
     return found
 
 
@@ -526,8 +520,8 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
             f"{side} limit": pick([getattr(k.bound, side) for k in mine], axis=0)
             for side, pick in (("low", np.max), ("high", np.min))
         }
-        name = signal.removeprefix(RATE)
-        unit = channels[name].unit + "/s" * signal.startswith(RATE)
+        name = signal.removeprefix(RATE_OF)
+        unit = channels[name].unit + "/s" * signal.startswith(RATE_OF)
         caption = (
             "The band holds every run, whatever the parameters do within their boxes at every sample, while no command is at its "
             "stop. Coloured: the runs that come nearest to a limit, with parameters that may refute it."

@@ -11,8 +11,8 @@ from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.provenance import provenance
 from workbench.readers import write_csv
-from workbench.robustness.falsify import SAME, Counterexample, load_counterexample
-from workbench.robustness.sequences import is_sequence, load_sequence, same
+from workbench.robustness.falsify import SAME, Counterexample, load_counterexample, same
+from workbench.robustness.sequences import is_sequence, load_sequence
 
 Say = Callable[[str], None]
 

@@ -118,14 +118,9 @@ def open_box(S: Samples, bound: float) -> ParameterBox:
     if not size.all():
         names = [name for name, moves in zip(S.form.names, moving, strict=True) if moves]
         raise InputError(f"{names[int(size.argmin())]} never moves in the records", mend="give records in which it does")
-    scaled, e = z / size, S.y / bound
-    p = z.shape[1]
-    program, inside = RowProgram(np.zeros(p), -FAR, FAR), np.zeros(len(e), dtype=bool)
-    ends = np.empty((2, p))
-    for i in range(p):
-        for side, sign in enumerate((-1.0, 1.0)):
-            program.change_cost(-sign * np.eye(p)[i])
-            ends[side, i] = sign * _furthest(program, scaled, e, inside, bound)[i]
+    axes = np.eye(z.shape[1])
+    lowest, highest = (_extremes(z / size, S.y / bound, bound, sign * axes) for sign in (-1.0, 1.0))
+    ends = np.array([-np.diag(lowest), np.diag(highest)])
     if np.abs(ends).max() > 0.99 * FAR:
         raise InputError("the records leave a parameter of the error open without end", mend="fewer lags, or other records")
     ends = sign_out(ends)
@@ -140,12 +135,7 @@ def _vertices(z: np.ndarray, e: np.ndarray, bound: float, random: np.random.Gene
     size = np.abs(z).max(axis=0)
     p = z.shape[1]
     directions = np.vstack([np.eye(p), -np.eye(p), random.normal(size=(4 * p, p))])
-    program, inside = RowProgram(np.zeros(p), -FAR, FAR), np.zeros(len(e), dtype=bool)
-    found = []
-    for direction in directions:
-        program.change_cost(-direction)
-        found.append(_furthest(program, z / size, e / bound, inside, bound) * bound / size)
-    theta = np.array(found)
+    theta = _extremes(z / size, e / bound, bound, directions) * bound / size
     middle = theta.mean(axis=0)
     return np.vstack([np.zeros(p), middle + (1.0 - 10.0 * SLACK) * (theta - middle)])
 
@@ -153,6 +143,16 @@ def _vertices(z: np.ndarray, e: np.ndarray, bound: float, random: np.random.Gene
 def sign_out(ends: np.ndarray) -> np.ndarray:
     """-lowest and highest theta (2 p), widened by what the programs leave unsaid."""
     return ends + SLACK * (1.0 + np.abs(ends))
+
+
+def _extremes(z: np.ndarray, e: np.ndarray, bound: float, directions: np.ndarray) -> np.ndarray:
+    """theta (R, p) furthest in each direction (R, p), of those that keep |e - z theta| <= 1 at all samples."""
+    program, inside = RowProgram(np.zeros(z.shape[1]), -FAR, FAR), np.zeros(len(e), dtype=bool)
+    found = []
+    for direction in directions:
+        program.change_cost(-direction)
+        found.append(_furthest(program, z, e, inside, bound))
+    return np.array(found)
 
 
 def _furthest(program: RowProgram, z: np.ndarray, e: np.ndarray, inside: np.ndarray, bound: float) -> np.ndarray:

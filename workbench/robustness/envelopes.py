@@ -119,8 +119,7 @@ class Course:
     def at(self, delta: np.ndarray) -> "Course":
         """The course with these parameters (p) at all samples; those that are not 0 are no longer uncertain."""
         delta = np.asarray(delta, dtype=float)
-        one = np.eye(self.B.shape[2])[self.channel.astype(int)].T  # (c p)
-        gain = one * (self.lam * delta)[:, None, :]  # w = gain z of these
+        gain = self.members.T * (self.lam * delta)[:, None, :]  # w = gain z of these
         BD, FD = self.B @ gain, self.F @ gain
         f = self.f[..., None]
         return replace(

@@ -230,9 +230,9 @@ class Counterexample:
         )  # fmt: skip
         values, found = _judged(run, self.scenario, limit, controller)
         sample, bound = int(found.sample[0]), found.bound_of()
-        same = bound == self.bound and sample == self.sample
+        at_place = bound == self.bound and sample == self.sample
         excess, value = float(found.value[0]), float(values[sample])
-        return Replayed(run, excess, sample, value, same and _same(excess, self.excess) and _same(value, self.value))
+        return Replayed(run, excess, sample, value, at_place and same(excess, self.excess) and same(value, self.value))
 
 
 @record
@@ -306,7 +306,8 @@ def _sentence(limit: Limit, bound: str, excess: float, time: float, value: float
     return f"{limit.signal}: {said} {unit} {told} {abs(excess):.6g} {unit} at {time:g} s, where it is {value:.6g} {limit.unit}"
 
 
-def _same(found: float, stored: float) -> bool:
+def same(found: float, stored: float) -> bool:
+    """Whether a replay has found the number of the file, within SAME of it; numbers that are not finite must agree."""
     if math.isfinite(found) and math.isfinite(stored):
         return abs(found - stored) <= SAME * max(abs(found), abs(stored))
     return found == stored or (math.isnan(found) and math.isnan(stored))

@@ -34,6 +34,7 @@ from workbench.records import field, record
 from workbench.robustness.envelopes import Course
 
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
+RATE_OF = "rate of "
 FLOOR = 1e-6  # of the largest reachable variance: what a direction of the state counts that nothing reaches
 
 
@@ -165,14 +166,18 @@ class DrivenLoop:
     signals: tuple[str, ...]
     dt: float = field("", unit="s")
 
+    @property
+    def moving(self) -> np.ndarray:
+        """Whether the regressor of each parameter (p) moves with the loop; the others are errors that no parameter explains."""
+        return np.abs(self.C).max(axis=1, initial=0.0) > 0.0
+
     def quiet(self) -> "DrivenLoop":
         """Without the errors that no parameter explains: nothing but the parameters of regressors that move is uncertain."""
-        moving = np.abs(self.C).max(axis=1, initial=0.0) > 0.0
-        return replace(self, lam=np.where(moving, self.lam, 0.0))
+        return replace(self, lam=np.where(self.moving, self.lam, 0.0))
 
     def undriven(self) -> UncertainLoop:
         """Without what drives it, and without the parameters of regressors that do not move."""
-        moving = np.abs(self.C).max(axis=1, initial=0.0) > 0.0
+        moving = self.moving
         names = tuple(name for name, moves in zip(self.parameters, moving, strict=True) if moves)
         return UncertainLoop(self.A, self.B, self.C[moving], self.lam[moving], self.channel[moving], names, self.dt)
 
@@ -258,7 +263,7 @@ def with_rates(loop: DrivenLoop, names: Sequence[str]) -> DrivenLoop:
         H=np.vstack([loop.H, H / loop.dt]),
         F=np.vstack([loop.F, F / loop.dt]),
         C=loop.C @ kept,
-        signals=(*loop.signals, *(f"rate of {name}" for name in names)),
+        signals=(*loop.signals, *(f"{RATE_OF}{name}" for name in names)),
     )
 
 

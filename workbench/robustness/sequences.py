@@ -3,7 +3,7 @@
     growth     the parameters of a frozen loop in turn, again and again: the product of its matrices has a pole outside the circle
     passage    parameters along a run of model, errors and law: a signal leaves its bound
 
-Both hold every number that they need; what a replay finds must agree with what the file says to SAME, relative.
+Both hold every number that they need; what a replay finds must agree with what the file says (`falsify.same`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,6 @@ from workbench.robustness.loop import LinearLaw, UncertainLoop, course_of
 from workbench.robustness.margins import Falsified
 
 SCHEMA, VERSION = "gain-scheduling-workbench/parameter-sequence", 1
-SAME = 1e-9
 
 
 @record
@@ -176,8 +175,3 @@ def _broken(content: Mapping[str, Any], path: str | Path) -> Broken:
         content["claim"], passage, content["signal"], int(content["sample"]), float(content["value"]), content["delta"],
         content["start"], low, high,
     )  # fmt: skip
-
-
-def same(found: float, stored: float) -> bool:
-    """Whether a replay has found what the file says."""
-    return abs(found - stored) <= SAME * max(abs(found), abs(stored))

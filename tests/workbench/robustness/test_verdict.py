@@ -9,9 +9,10 @@ import pytest
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.robustness.envelopes import Course, kernel, nominal, replay
+from workbench.robustness.falsify import same
 from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.margins import corners, margin
-from workbench.robustness.sequences import Growth, load_sequence, same
+from workbench.robustness.sequences import Growth, load_sequence
 from workbench.robustness.verdict import Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
 
 N = 60
