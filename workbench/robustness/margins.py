@@ -132,7 +132,7 @@ def margin(loop: UncertainLoop, seed: int = 0) -> Margin:
         raise InputError("no parameter is uncertain", file="UncertainLoop", mend="every margin is infinite: nothing to check")
     frozen = frozen_margin(own)
     worst = falsified(own, frozen, seed)
-    return Margin(own, certified(own, worst.kappa), worst, frozen)
+    return Margin(own, certified(own, worst), worst, frozen)
 
 
 def corners(p: int) -> np.ndarray:
@@ -273,8 +273,9 @@ def disk_margin(L: np.ndarray) -> float:
 # ---- parameters that move: certified --------------------------------------------------------------------------------------
 
 
-def certified(loop: UncertainLoop, beyond: float) -> Certificate:
-    """The largest kappa below `beyond`, within the ratio CLOSE, for which a certificate was found and holds."""
+def certified(loop: UncertainLoop, worst: Falsified) -> Certificate:
+    """The largest kappa below that of `worst`, within the ratio CLOSE, for which a certificate was found and holds."""
+    beyond = worst.kappa
     high, low = beyond, beyond / 2.0
     while (best := _held(_by_multipliers(loop, low), loop)) is None:
         high, low = low, low / 2.0
@@ -283,7 +284,7 @@ def certified(loop: UncertainLoop, beyond: float) -> Certificate:
     # two samples at a time gain some 5 %; the corners of a single one gain a hundredth or two and cost most of the time
     products = 2 * len(loop.lam) <= MOST_CORNERS
     best = _search(loop, high, best, lambda kappa, _: _by_multipliers(loop, kappa), ROUGH if products else CLOSE)
-    return _search(loop, beyond, best, _Corners(loop, 2)) if products else best
+    return _search(loop, beyond, best, _Corners(loop, 2, worst.delta)) if products else best
 
 
 def _held(found: Certificate | None, loop: UncertainLoop) -> Certificate | None:
@@ -335,12 +336,16 @@ def _by_multipliers(loop: UncertainLoop, kappa: float) -> Certificate | None:
 class _Corners:
     """P with P - A'P A >= t at every corner, t as large as can be; A is the product over `steps` samples.
 
-    Corners enter the program where the last P fails; those that entered for one kappa stay for the next.
+    The corners that a worst sequence delta (L p) passes enter the program first, others where the last P fails; those that
+    entered for one kappa stay for the next.
     """
 
-    def __init__(self, loop: UncertainLoop, steps: int):
+    def __init__(self, loop: UncertainLoop, steps: int, delta: np.ndarray):
         self.loop, self.steps = loop, steps
-        self.active: list[int] = []
+        p = delta.shape[1]
+        passed = (delta < 0.0) @ (1 << np.arange(p))  # places in `corners`
+        later = sum(np.roll(passed, -k) << (p * k) for k in range(steps))
+        self.active = [int(v) for v in np.unique(later)]
 
     def __call__(self, kappa: float, last: Certificate) -> Certificate | None:
         loop, n = self.loop, len(self.loop.A)
