@@ -30,7 +30,7 @@ from workbench.readers import read
 from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
-from workbench.robustness.envelopes import Course, kernel, nominal
+from workbench.robustness.envelopes import Course, kernel
 from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, same, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved
 from workbench.robustness.loop import RATE_OF, UncertainLoop, check_law, driven, interpolated, machine_with_errors
@@ -143,9 +143,9 @@ def verdict_table(verdicts: Sequence[Verdict], title: str = "Verdicts") -> Table
     rows = tuple((v.claim, v.of, v.status.value, v.margin, v.unit, v.sentence, v.witness) for v in verdicts)
     return Table(
         title, ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
-        caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver. PASSED: no "
-        "counterexample was found, which proves nothing. FAILED: the file named runs again with workbench simulate --replay. "
-        "UNDECIDED: neither; the margin is what is missing to a proof.",
+        caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver and has its own "
+        "rounding in it. PASSED: no counterexample was found, which proves nothing. FAILED: the file named runs again with "
+        "workbench simulate --replay. UNDECIDED: neither; the margin is what is missing to a proof.",
     )  # fmt: skip
 
 
@@ -510,7 +510,8 @@ def _broken(own: Course, kept: Kept, passage: Passage, path: Path) -> Path:
 
 def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Channel], dt: float) -> list[Block]:
     """Every signal with a bound: band, worst runs, bounds."""
-    outer, run = kernel(own), nominal(own).v
+    outer = kernel(own)
+    run = outer.nominal.v
     t, blocks = dt * np.arange(len(run)), []
     for signal in dict.fromkeys(k.bound.signal for k in kept):
         i = own.number(signal)
@@ -528,8 +529,8 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
         )
         blocks.append(
             figures.guaranteed(
-                f"{signal} along the run", t, Channel(signal, unit, "output"), run[:, i], run[:, i] - outer.half[:, i],
-                run[:, i] + outer.half[:, i], runs, {n: v for n, v in limits.items() if np.isfinite(v).any()}, caption,
+                f"{signal} along the run", t, Channel(signal, unit, "output"), run[:, i], outer.low[:, i],
+                outer.high[:, i], runs, {n: v for n, v in limits.items() if np.isfinite(v).any()}, caption,
             )
         )  # fmt: skip
     return blocks

@@ -41,11 +41,13 @@ from numba import njit
 
 from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, exact, positive_definite
-from workbench.intervals.propagation import MOST_SIGNS, ROUNDING, WIDENED
+from workbench.intervals.propagation import MOST_SIGNS, ROUNDING
 from workbench.records import field, record
 
 AGE = 64  # samples after which columns of the kernel may be exchanged for a box
 WIDER = 1e-4  # by which one exchange may widen what is seen, relative
+YOUNG, RISEN = 8, 1e-10  # samples that a box of rounding is carried, and its share of what is seen from which it is no longer
+TINY = 1e-290  # above what underflow takes from a sum
 STARTS = 8  # of the adversary for each question
 SWEEPS = 30
 GUARD = 0.01  # R >= GUARD diag(mu): beyond, rounding decides
@@ -222,8 +224,9 @@ def envelope(
     The kernel bounds every sample. At the instants, by default for each signal and side the one where the kernel comes nearest to
     its limit in limits (s 2; infinite or none: where it is widest), the dual tightens it and the adversary says what is real.
     """
-    run, outer, s = nominal(course), kernel(course), len(course.signals)
-    low, high = run.v - outer.half, run.v + outer.half
+    outer, s = kernel(course), len(course.signals)
+    run = outer.nominal
+    low, high = outer.low, outer.high
     if instants is None:
         bounds = np.tile([-np.inf, np.inf], (s, 1)) if limits is None else np.asarray(limits, dtype=float)
         if bounds.shape != (s, 2) or not np.all(bounds[:, 0] < bounds[:, 1]):
@@ -260,21 +263,37 @@ def envelope(
 
 @record
 class Kernel:
-    """|v - v_nominal| <= half (N s) and |x - x_nominal| <= state (N n), infinite where there is nothing to say.
+    """|v - nominal.v| <= half (N s) and |x - nominal.x| <= state (N n), infinite where there is nothing to say.
 
-    gain: the spectral radius of the largest sums that multiply former W, channel by channel; below 1 the bounds stay finite.
+    nominal: the run as it was computed; that it is off by its rounding is in the bounds. gain: the spectral radius of the largest
+    sums that multiply former W, channel by channel; below 1 the bounds stay finite.
     """
 
     half: np.ndarray = field("N s")
     state: np.ndarray = field("N n")
     gain: float
+    nominal: Nominal
+
+    @property
+    def low(self) -> np.ndarray:
+        """What no run falls below (N s)."""
+        return np.nextafter(self.nominal.v - self.half, -np.inf)
+
+    @property
+    def high(self) -> np.ndarray:
+        """What no run exceeds (N s)."""
+        return np.nextafter(self.nominal.v + self.half, np.inf)
 
 
 def kernel(course: Course) -> Kernel:
     """W_j(k) = max over signs s of |s'(lam z_nom)| + sum |s'(lam C Phi B_c)| W_c(l); see the module.
 
-    Channels of more than MOST_SIGNS parameters are bounded term by term. Widened by WIDENED of the half width, far above the
-    rounding of the sums, and by the rounding of the nominal run.
+    Channels of more than MOST_SIGNS parameters are bounded term by term. Proved in floating point: columns Z are carried as they
+    round, and what rounding takes from them, from the nominal run and from every sum is in a box |e| <= rest that goes along,
+
+        d in {Z e} + [-1, 1] rest,    |fl(A Z) - A Z| <= unit |A| |Z|,    sums of positive terms times 1 + unit
+
+    unit being above the rounding of the longest sum. Before the box grows much, for |A| may have no decay, it becomes n columns.
     """
     run, m = nominal(course), course.modes
     (N, n), c, s = course.q.shape, course.B.shape[2], len(course.signals)
@@ -282,39 +301,57 @@ def kernel(course: Course) -> Kernel:
     rows = np.concatenate([signs for signs, _ in channels])  # (J p)
     ends = np.cumsum([0, *(len(signs) for signs, _ in channels)])
     look = np.concatenate([(rows * course.lam[:, None]) @ course.C, course.E], axis=1)  # (M J+s n)
-    own = np.abs((course.lam[m] * run.z) @ rows.T)  # (N J)
+    unit = _unit(n + course.f.shape[1])
+    A, F, one = np.abs(course.A), np.abs(course.F), np.eye(c)
+    sizes = np.concatenate([(np.abs(rows) * course.lam[:, None]) @ np.abs(course.C), np.abs(course.E)], axis=1)
+    x = np.abs(run.x)
+    missed = unit * (np.einsum("kin,kn->ki", A[m], x) + np.abs(course.q))  # by one step of the nominal run
+    unseen = unit * (np.einsum("ksn,kn->ks", np.abs(course.E[m]), x) + np.abs(course.g))
+    felt = course.lam[m] * (np.einsum("kpn,kn->kp", np.abs(course.C[m]), x) + np.abs(course.f))
+    own = np.abs((course.lam[m] * run.z) @ rows.T) + unit * felt @ np.abs(rows).T  # (N J)
     half, state, gains = np.full((N, s), np.inf), np.full((N, n), np.inf), np.zeros((c, c))
     Z, weight = np.zeros((n, 4 * AGE * c)), np.zeros((4 * AGE * c, 1 + c))  # the bound of each column's w; 1 in its channel
-    born, used, W = np.zeros(4 * AGE * c, dtype=int), 0, np.zeros(c)
-    F, one = np.abs(course.F), np.eye(c)
+    born, used, W, rest, kept = np.zeros(4 * AGE * c, dtype=int), 0, np.zeros(c), np.zeros(n), 0
+    grown = False
     with np.errstate(over="ignore", invalid="ignore"):
         for k, i in enumerate(m):
-            now = Z[:, :used]
+            if len(born) < used + n + c:
+                Z, weight, born = np.hstack([Z, 0 * Z]), np.vstack([weight, 0 * weight]), np.concatenate([born, born])
+            if grown:
+                Z[:, used : used + n], weight[used : used + n], born[used : used + n] = np.eye(n), 0.0, k
+                weight[used : used + n, 0], rest, kept = rest, np.zeros(n), k
+                used += n
+            if k % AGE == 0 and k > 0:
+                used, left = _exchanged(Z, weight, born, used, k, look[i])
+                rest = rest + left
+            now, up = Z[:, :used], 1.0 + _unit(used + n + len(look[i]))
+            size = (np.abs(now) @ weight[:used, 0]) * up + rest
+            risen = sizes[i] @ rest
             reach = np.abs(look[i] @ now) @ weight[:used]
+            seen = (reach[:, 0] + risen + unit * (sizes[i] @ size)) * up
             for j, (_, summed) in enumerate(channels):
-                each = reach[ends[j] : ends[j + 1]]
-                total = own[k, ends[j] : ends[j + 1]] + each[:, 0]
-                W[j] = total.sum() if summed else total.max(initial=0.0)
-                np.maximum(gains[j], each[:, 1:].sum(axis=0) if summed else each[:, 1:].max(axis=0, initial=0.0), out=gains[j])
-            half[k] = reach[ends[-1] :, 0] + F[i] @ W
-            state[k] = np.abs(now) @ weight[:used, 0]
+                at = slice(ends[j], ends[j + 1])
+                total, each = own[k, at] + seen[at], reach[at, 1:]
+                W[j] = up * (total.sum() if summed else total.max(initial=0.0))
+                np.maximum(gains[j], each.sum(axis=0) if summed else each.max(axis=0, initial=0.0), out=gains[j])
+            half[k] = (seen[ends[-1] :] + F[i] @ W + unseen[k]) * up
+            state[k] = size * up
             if not (np.all(np.isfinite(half[k])) and np.all(np.isfinite(W)) and np.all(np.isfinite(state[k]))):
                 half[k:], state[k:] = np.inf, np.inf
                 break
-            if k % AGE == 0 and k > 0:
-                used = _exchanged(Z, weight, born, used, k, look[i])
-                now = Z[:, :used]
+            grown = k - kept >= YOUNG and bool(np.any(risen > RISEN * seen))
+            rest = (A[i] @ (rest + unit * size) + missed[k]) * up + TINY
             now[:] = course.A[i] @ now
-            if used + c > len(born):
-                Z, weight, born = np.hstack([Z, 0 * Z]), np.vstack([weight, 0 * weight]), np.concatenate([born, born])
             Z[:, used : used + c], born[used : used + c] = course.B[i], k
             weight[used : used + c, 0], weight[used : used + c, 1:] = W, one
             used += c
-        size = np.abs(run.v) + np.abs(course.g) + np.einsum("ksn,kn->ks", np.abs(course.E[m]), np.abs(run.x))
-        half = half * (1.0 + WIDENED) + ROUNDING * n * size
-        state = state * (1.0 + WIDENED) + ROUNDING * n * np.abs(run.x)
     finite = np.isfinite(gains).all()
-    return Kernel(half, state, float(np.abs(np.linalg.eigvals(gains)).max(initial=0.0)) if finite else np.inf)
+    return Kernel(half, state, float(np.abs(np.linalg.eigvals(gains)).max(initial=0.0)) if finite else np.inf, run)
+
+
+def _unit(terms: int) -> float:
+    """Above the relative rounding of a sum of so many products of rounded factors, and of the few operations on it."""
+    return 8.0 * (terms + 4) * float(np.finfo(float).eps)
 
 
 def _signs(own: np.ndarray, course: Course) -> tuple[np.ndarray, bool]:
@@ -328,34 +365,38 @@ def _signs(own: np.ndarray, course: Course) -> tuple[np.ndarray, bool]:
     return rows, False
 
 
-def _exchanged(Z: np.ndarray, weight: np.ndarray, born: np.ndarray, used: int, k: int, look: np.ndarray) -> int:
+def _exchanged(
+    Z: np.ndarray, weight: np.ndarray, born: np.ndarray, used: int, k: int, look: np.ndarray
+) -> tuple[int, np.ndarray]:
     """Exchange the oldest columns for a box if that widens what is seen by less than WIDER; how many columns there are then.
 
     The box stands along the principal axes of the columns, where they are thinnest, and is the older one of two that are tried.
+    The second answer (n) bounds what is left: a column is T y and col - T y, for any T and y, so that neither needs to be exact.
     """
-    n = len(Z)
+    n, unit = len(Z), _unit(used + len(Z))
     seen = np.abs(look @ Z[:, :used]) * weight[:used, 0]
     whole = seen.sum(axis=1)
     age = AGE
     while age <= k:
         old = np.flatnonzero(born[:used] <= k - age)
         if len(old) <= 2 * n:
-            return used
+            break
         columns = Z[:, old]
         size = np.abs(columns) @ weight[old, 0]
         size[size == 0.0] = 1.0
         axes = np.linalg.svd(columns / size[:, None] * weight[old, 0], full_matrices=False)[0]
-        box = np.abs(axes.T @ (columns / size[:, None])) @ weight[old]
-        box += ROUNDING * n * box.sum(axis=0)  # axes that are not quite orthogonal
-        T = size[:, None] * axes
+        T, y = size[:, None] * axes, axes.T @ (columns / size[:, None])
+        box = (np.abs(y) @ weight[old]) * (1.0 + unit)
         if np.all(np.abs(look @ T) @ box[:, 0] <= seen[:, old].sum(axis=1) + WIDER * whole):
+            left = np.abs(columns - T @ y) + unit * (np.abs(columns) + np.abs(T) @ np.abs(y))
             young = np.flatnonzero(born[:used] > k - age)
             count = n + len(young)
             Z[:, n:count], weight[n:count], born[n:count] = Z[:, young], weight[young], born[young]
+            rest = (left @ weight[old, 0]) * (1.0 + unit)
             Z[:, :n], weight[:n], born[:n] = T, box, k - age
-            return count
+            return count, rest
         age *= 2
-    return used
+    return used, np.zeros(n)
 
 
 # ---- the adversary --------------------------------------------------------------------------------------------------
@@ -525,8 +566,8 @@ class Certificate:
             P, q = exact(self.P[0]), exact(self.q[0])
             value = (d * ((P @ d[:, None])[:, 0] + q * 2.0)).sum() + float(self.c[0])
             return bool((room - value).low >= 0.0)
-        known = (kernel(course) if outer is None else outer).state[self.first]
-        if not np.all(self.box >= known) or not np.array_equal(self.x[0], nominal(course).x[self.first]):
+        known = kernel(course) if outer is None else outer
+        if not np.all(self.box >= known.state[self.first]) or not np.array_equal(self.x[0], known.nominal.x[self.first]):
             return False
         top = exact(np.diag(self.nu)) - self.P[0]
         corner = room - float(self.c[0]) - (exact(self.nu) * (exact(self.box) * self.box)).sum()
@@ -691,7 +732,7 @@ class _Problem:
         self.course, self.outer = course, outer
         self.signal, self.instant, self.side, self.first = signal, instant, side, first
         self.k = np.arange(first, instant + 1)
-        run, m = nominal(course), course.modes[self.k]
+        run, m = nominal(course) if outer is None else outer.nominal, course.modes[self.k]
         self.x, self.z, self.base = run.x[self.k], run.z[self.k].copy(), side * float(run.v[instant, signal])
         self.lam, self.own = course.lam[m], course.channel.astype(int)
         live = (self.lam > 0.0) @ course.members > 0.0

@@ -1,7 +1,7 @@
 """Verdicts: what is claimed of a loop, whether it is proved or refuted, by how much, and what shows it.
 
     PROVED      a certificate holds, checked in outward-rounded arithmetic outside the solver; or the kernel's bound does, which
-                needs no solver and is widened by 1e-9 of itself, far more than it rounds
+                needs no solver and has its own rounding in it
     PASSED      no counterexample among N runs: sampling never proves
     FAILED      a counterexample was found, and replayed
     UNDECIDED   everything else: neither a proof nor a counterexample
@@ -27,7 +27,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
-from workbench.robustness.envelopes import Course, Kernel, dual, kernel, nominal, replay, worst
+from workbench.robustness.envelopes import Course, Kernel, dual, kernel, replay, worst
 from workbench.robustness.margins import Falsified, Margin
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
@@ -180,19 +180,18 @@ def bounds_kept(
     for bound in bounds:
         if not (np.isfinite(bound.low) | np.isfinite(bound.high)).any():
             raise InputError("asks nothing within the run", file=bound.claim, mend="a longer run, or an earlier begin")
-    outer, run = kernel(course), nominal(course).v
-    free = len(course)
+    outer, free = kernel(course), len(course)
     for stop in stops:
         progress(stop.claim)
-        free = min(free, _proved_until(course, outer, run, stop))
+        free = min(free, _proved_until(course, outer, stop))
     constant = None if possible is None else _constant_runs(course, possible)
     found = []
     for bound in bounds:
         progress(bound.claim)
-        furthest = _moving_runs(course, run, bound, seed)
+        furthest = _moving_runs(course, outer.nominal.v, bound, seed)
         tried = furthest if constant is None else _with_noise(course, constant, bound, stops, seed)
-        until = _proved_until(course, outer, run, bound)
-        found.append(_judged(course, outer, run, bound, tried, furthest, until, free, stops, of, dt))
+        until = _proved_until(course, outer, bound)
+        found.append(_judged(course, outer, bound, tried, furthest, until, free, stops, of, dt))
     return found
 
 
@@ -248,7 +247,7 @@ def _excess(v: np.ndarray, bound: Bound, signal: int, linear: np.ndarray) -> np.
     return np.where(np.arange(v.shape[1]) >= linear[:, None], -np.inf, np.nan_to_num(excess, nan=-np.inf))
 
 
-def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound) -> int:
+def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:
     """The first sample at which the bound is not proved; all of them where it is.
 
     Where the kernel does not suffice the dual is asked, from the sample on that misses most: if that one fails the others need
@@ -256,7 +255,7 @@ def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound) 
     """
     i, until = course.number(bound.signal), len(course)
     for side, limit in _sides(bound):
-        over = side * run[:, i] + outer.half[:, i] - limit
+        over = (outer.high[:, i] if side == 1 else -outer.low[:, i]) - limit
         open_at = np.flatnonzero(over > 0.0)
         if not len(open_at):
             continue
@@ -272,7 +271,7 @@ def _proved_until(course: Course, outer: Kernel, run: np.ndarray, bound: Bound) 
 
 
 def _judged(
-    course: Course, outer: Kernel, run: np.ndarray, bound: Bound, tried: Tried, furthest: Tried, until: int, free: int,
+    course: Course, outer: Kernel, bound: Bound, tried: Tried, furthest: Tried, until: int, free: int,
     stops: Sequence[Bound], of: str, dt: float,
 ) -> Kept:  # fmt: skip
     i, unit = course.number(bound.signal), bound.unit
@@ -280,9 +279,8 @@ def _judged(
     row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
     reached = float(excess[row, k])
     beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())
-    asked, half = np.isfinite(bound.low) | np.isfinite(bound.high), outer.half[:, i]
-    left = float(np.minimum(run[:, i] - half - bound.low, bound.high - run[:, i] - half).min())
-    below, above = run[:, i] - half, run[:, i] + half
+    asked, below, above = np.isfinite(bound.low) | np.isfinite(bound.high), outer.low[:, i], outer.high[:, i]
+    left = float(np.minimum(below - bound.low, bound.high - above).min())
     if until == len(course):  # at single samples by a dual, which is tighter
         below, above = np.maximum(below, bound.low), np.minimum(above, bound.high)
     every = (float(below[asked].min()), float(above[asked].max())) if free == len(course) else None
@@ -292,7 +290,7 @@ def _judged(
         return Kept(bound, found, tried.v[row], tried.delta[row], tried.start[row], k)
 
     moving = tried is furthest
-    if reached > SLACK * max(1.0, float(np.abs(run[:, i]).max())):
+    if reached > SLACK * max(1.0, float(np.abs(outer.nominal.v[:, i]).max())):
         who = "parameters that move within their boxes" if moving else "constant parameters that no record refutes"
         return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s")
     if until == len(course) and free == len(course):

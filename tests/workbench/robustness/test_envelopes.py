@@ -1,6 +1,7 @@
 """Envelopes of a closed loop: closed forms, every sign sequence, the exact hull of the open-loop module, broken proofs."""
 
 from dataclasses import replace
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -196,7 +197,7 @@ def test_two_states_have_the_exact_hull_of_the_open_loop_module(seed, through):
     hull, old = propagation.hull(r), propagation.kernel(r)
     outer, run = kernel(course), nominal(course)
     np.testing.assert_allclose(run.v[:, 0], open_loop.nominal(r).y, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(run.v[:, 0] + outer.half[:, 0], old.high, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(run.v[:, 0] + outer.half[:, 0], old.high, rtol=1e-8, atol=1e-8)  # widened by 1e-9 of itself
     assert outer.gain == pytest.approx(old.gain, rel=1e-9)
     for k in (3, 59):
         found = worst(course, both_sides(course, k), starts=32)
@@ -322,13 +323,13 @@ def test_columns_that_are_exchanged_are_paid_for(monkeypatch, name, age, wider):
 
     monkeypatch.setattr(envelopes, "_exchanged", counted)
     cut = kernel(course)
-    assert np.all(cut.half >= whole.half * (1.0 - 1e-12))
-    assert np.all(cut.state >= whole.state * (1.0 - 1e-12))
+    assert np.all(cut.half >= whole.half * (1.0 - 1e-8))  # more columns, more rounding
+    assert np.all(cut.state >= whole.state * (1.0 - 1e-8))
     assert cut.gain >= whole.gain * (1.0 - 1e-12)
     if wider == envelopes.WIDER and age == 64:
         assert np.all(cut.half <= whole.half * 1.01)
     if wider == np.inf or name == "fast":
-        assert any(after < before for before, after in counts)
+        assert any(after < before for before, (after, _) in counts)
         assert np.any(cut.half > whole.half)
 
 
@@ -338,7 +339,62 @@ def test_a_box_that_contracts_bounds_the_whole_run():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(envelopes, "_exchanged", lambda *args: counts.append(true(*args)) or counts[-1])
         kernel(course)
-    assert max(counts) <= 2 * (envelopes.AGE + 1) + 4
+    assert max(count for count, _ in counts) <= 2 * (envelopes.AGE + 1) + 4 * (1 + envelopes.AGE // envelopes.YOUNG)
+
+
+def exactly(course, delta) -> list[list[Fraction]]:
+    """v (N s) of constant parameters `delta` (p), without any rounding."""
+
+    def rational(M):
+        return np.vectorize(Fraction, otypes=[object])(np.asarray(M, dtype=float))
+
+    x, v, one = rational(course.start), [], rational(delta)
+    A, B, C, E, F, lam = (rational(M) for M in (course.A, course.B, course.C, course.E, course.F, course.lam))
+    for k, i in enumerate(course.modes):
+        w = (one * lam[i] * (C[i] @ x + rational(course.f[k]))) @ rational(course.members)
+        v.append(E[i] @ x + rational(course.g[k]) + F[i] @ w)
+        x = A[i] @ x + rational(course.q[k]) + B[i] @ w
+    return v
+
+
+def left_by(course, delta) -> np.ndarray:
+    """What the kernel leaves above the exact run, relative to its half width: (N s)."""
+    outer = kernel(course)
+    return np.array([
+        [float((Fraction(h) - abs(v - Fraction(m))) / max(Fraction(h), Fraction(1e-300))) for v, m, h in zip(*row, strict=True)]
+        for row in zip(exactly(course, delta), outer.nominal.v, outer.half, strict=True)
+    ])  # fmt: skip
+
+
+ROUNDED = {
+    "grows as fast as the kernel": lambda: scalar(np.random.default_rng(2).uniform(0.6, 1.0, 60), 0.07, 60, start=2.0),
+    "driven": lambda: scalar(0.9, 0.04, 120, q=1.0),
+    "nothing but the rounding of the nominal run, all to one side": lambda: scalar(1.0, 0.0, 400, q=0.1, start=1e6 / 3.0),
+}
+
+
+@pytest.mark.parametrize("name", ROUNDED)
+def test_the_kernel_covers_what_rounding_takes(name, monkeypatch):
+    """Where the kernel is attained, rational arithmetic decides: above every exact run, and by no more than rounding."""
+    course = ROUNDED[name]()
+    left = left_by(course, [1.0])
+    assert np.all(left >= 0.0)
+    if course.lam.any():
+        assert np.all(left[2:] < 1e-9)
+    monkeypatch.setattr(envelopes, "_unit", lambda _: 0.0)
+    assert np.any(left_by(course, [1.0]) < 0.0)
+
+
+def test_what_rounds_is_carried_on(monkeypatch):
+    """In coordinates of all sizes |A| grows where A decays: the box becomes columns before it is felt."""
+    course = some(2, n=6, p=3, N=300, lam=0.02, radius=0.95)
+    assert np.abs(np.linalg.eigvals(np.abs(course.A[0]))).max() > 1.5
+    half = kernel(course).half
+    monkeypatch.setattr(envelopes, "_unit", lambda _: 0.0)
+    np.testing.assert_allclose(half, kernel(course).half, rtol=1e-6)
+    monkeypatch.undo()
+    monkeypatch.setattr(envelopes, "YOUNG", 10**6)
+    assert np.any(kernel(course).half > 2.0 * half)
 
 
 def test_the_kernel_is_its_defining_sum():
