@@ -11,6 +11,7 @@ from controllers.scheduled_pid import ScheduledPID
 from studies import robust_winding
 from studies.loops import WINDING_LIMITS
 from studies.robust_winding import asked, main, recorded
+from tests.controllers.test_nmpc import winding
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.identify.ssm import SSM
@@ -92,3 +93,15 @@ def test_it_needs_the_machine(tmp_path):
     with pytest.raises(InputError, match="needs the machine itself"):
         main(folder=tmp_path, data="records")
     assert {limit.signal for limit in asked().limits} == {"theta", "w3", "V1", "V2"}
+
+
+def test_a_law_with_more_outputs_than_set_points_has_its_errors(monkeypatch):
+    """The NMPC measures every output of the plant."""
+    monkeypatch.setattr(robust_winding, "DURATION", 1.0)
+    monkeypatch.setattr(robust_winding, "SETPOINTS", {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0), (0.5, 5.0))})
+    own = winding()
+    assert len(own.measured) > len(own.references)
+    errors = robust_winding._rms(own, 1)
+    assert set(errors) == {"w3", "theta"}
+    assert 0.5 < errors["theta"] < 5.0
+    assert 0.0 < errors["w3"] < 5.0

@@ -41,11 +41,12 @@ FREQUENCIES = 4000
 MOST_CORNERS = 12  # parameters up to which all corners of the box are looked at
 MOST_EDGES = 8
 EDGE = 1.0 - 1e-6  # of a frozen margin, at which no edge may be lost
-LENGTHS = tuple(range(1, 26))  # samples of a periodic sequence
-LONGEST = 200
+LENGTHS = (*range(1, 26), 30, 36, 43, 52, 62, 74, 89, 107, 128, 154, 184)  # samples of a periodic sequence, at first
+LONGEST, NEAR = 200, 0.1  # by how much lengths differ that are tried beside the best one
+LOWER = 0.995  # ratio of two margins from which it is tried again
 MOST = 1e6  # a margin beyond is none
-STARTS = 3  # random sequences of each length
-SWEEPS = 12
+STARTS, PARTS = 3, 8  # random sequences of each length; pieces of those that move slowly
+SWEEPS, PART, LEAST = 12, 0.3, 0.02  # steps of one, see `_improved`
 CLOSE, ROUGH = 1.03, 1.1  # ratios of bounds at which a search ends, and one that another goes on from
 ADDED = 2  # corners that enter the program in a round
 ROUNDS = 30
@@ -409,9 +410,15 @@ def falsified(loop: UncertainLoop, frozen: FrozenMargin, seed: int = 0) -> Falsi
     if np.isfinite(frozen.kappa):
         best = _lost(loop, np.stack([frozen.delta, np.sign(frozen.delta)])[:, None, :], frozen.kappa * (1.0 + 1e-6))
     for length in sorted(lengths):
-        starts = random.choice([-1.0, 1.0], size=(STARTS, length, len(loop.lam)))
-        found = _lost(loop, starts, MOST if best is None else best.kappa)
+        found = _lost(loop, _starts(random, length, len(loop.lam)), MOST if best is None else best.kappa)
         best = found or best
+    former = np.inf
+    while best is not None and best.kappa < former * LOWER:  # a slow turn of the state has a length of its own
+        former = best.kappa
+        for length in _near(len(best.delta)):
+            stretched = best.delta[None, np.arange(length) * len(best.delta) // length]
+            starts = np.concatenate([stretched, _starts(random, length, len(loop.lam))])
+            best = _lost(loop, starts, best.kappa, LEAST) or best
     if best is None:
         raise InputError(
             "no parameters were found that move a pole to the unit circle",
@@ -421,14 +428,27 @@ def falsified(loop: UncertainLoop, frozen: FrozenMargin, seed: int = 0) -> Falsi
     return best
 
 
-def _lost(loop: UncertainLoop, delta: np.ndarray, below: float) -> Falsified | None:
-    """The smallest kappa < below at which one of the sequences delta (S L p), improved, grows; or None."""
+def _starts(random: np.random.Generator, length: int, p: int) -> np.ndarray:
+    """Random signs (S length p): new ones at every sample, and for a slow loop ones that stay for a while."""
+    new = random.choice([-1.0, 1.0], size=(STARTS, length, p))
+    parts = np.arange(length) * PARTS // length
+    return np.concatenate([new, random.choice([-1.0, 1.0], size=(STARTS, PARTS, p))[:, parts]]) if length > PARTS else new
+
+
+def _near(length: int) -> set[int]:
+    """Lengths around one, and around its parts."""
+    around = {round(length / turns * (1.0 + share)) for turns in (1, 2, 3, 4) for share in np.linspace(-NEAR, NEAR, 11)}
+    return {each for each in around if 1 <= each <= LONGEST}
+
+
+def _lost(loop: UncertainLoop, delta: np.ndarray, below: float, least: float = 1.0) -> Falsified | None:
+    """The smallest kappa < below at which one of the sequences delta (S L p), improved, grows; or None. least: of `_improved`."""
     kappa, best = below, None
     if below >= MOST:  # nobody knows where the margin lies: from below, for far beyond it every sequence grows
         kappa = 1.0 / MOST
-        while kappa < MOST and _improved(loop, kappa, delta)[1].max() < 1.0:
+        while kappa < MOST and _improved(loop, kappa, delta, least)[1].max() < 1.0:
             kappa *= 1.5
-    delta, size = _improved(loop, kappa, delta)
+    delta, size = _improved(loop, kappa, delta, least)
     while size.max() >= 1.0:
         own = delta[size.argmax()][None]
         low, high = 0.0, kappa
@@ -439,19 +459,27 @@ def _lost(loop: UncertainLoop, delta: np.ndarray, below: float) -> Falsified | N
         if high >= kappa * (1.0 - 1e-4):
             break
         kappa = high
-        delta, size = _improved(loop, kappa * (1.0 - 1e-6), delta)
+        delta, size = _improved(loop, kappa * (1.0 - 1e-6), delta, least)
     return best
 
 
-def _improved(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sequences (S L p) after steps to the signs of their own slopes, while that helps, and their growth (S)."""
-    at = _carried(loop, kappa, delta)
+def _improved(loop: UncertainLoop, kappa: float, delta: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sequences (S L p) after steps to the signs of their own slopes while that helps, and their growth (S).
+
+    least: the share of the signs, the steepest, down to which fewer of them change where more do not help.
+    """
+    at, share = _carried(loop, kappa, delta), 1.0
     for _ in range(SWEEPS):
-        other = np.where(at.slope == 0.0, delta, np.sign(at.slope))
+        gain = np.abs(at.slope) * (np.sign(at.slope) != np.sign(delta))
+        steep = np.quantile(gain.reshape(len(delta), -1), 1.0 - share, axis=1)[:, None, None]
+        other = np.where((gain > 0.0) & (gain >= steep), np.sign(at.slope), delta)
         new = _carried(loop, kappa, other)
         better = new.size > at.size * (1.0 + 1e-9)
         if not better.any():
-            break
+            share *= PART
+            if share < least:
+                break
+            continue
         delta = np.where(better[:, None, None], other, delta)
         at = _Carried(np.where(better, new.size, at.size), np.where(better[:, None, None], new.slope, at.slope))
     return delta, at.size

@@ -6,6 +6,7 @@ import control
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tests.workbench.robustness.loops import lagged_machine, machine_run, two_regressions
 from workbench.errors import InputError
@@ -16,6 +17,7 @@ from workbench.robustness.margins import (
     _by_multipliers,
     corners,
     disk_margin,
+    falsified,
     frozen_margin,
     lost_on_an_edge,
     margin,
@@ -142,7 +144,7 @@ def test_a_sequence_that_grows_grows_in_the_machine():
     models, one = two_regressions()
     loop = close(models, one)
     found = margin(loop).falsified
-    L, periods = len(found.delta), 400
+    L, periods = len(found.delta), 100
     wide = [widened(m, found.kappa) for m in models]
     delta = {m.output.name: np.zeros((L * periods, len(m.form.names))) for m in models}
     for i, name in enumerate(loop.parameters):
@@ -150,10 +152,10 @@ def test_a_sequence_that_grows_grows_in_the_machine():
         at = next(m for m in models if m.output.name == output).form.names.index(own)
         delta[output][:, at] = np.tile(found.delta[:, i], periods)
     y, _ = machine_run(wide, one, delta, {"y1": [1.0, -0.7], "y2": [0.2, 0.4, -1.0]})
-    middle, late = (max(np.abs(v[part]).max() for v in y.values()) for part in (slice(100 * L, 200 * L), slice(300 * L, None)))
+    middle, late = (max(np.abs(v[part]).max() for v in y.values()) for part in (slice(25 * L, 50 * L), slice(75 * L, None)))
     assert late > 0.99 * middle > 0.1  # it does not die out
     calm, _ = machine_run(wide, one, {k: 0.9 * d for k, d in delta.items()}, {"y1": [1.0, -0.7], "y2": [0.2, 0.4, -1.0]})
-    assert max(np.abs(v[300 * L :]).max() for v in calm.values()) < 0.01 * late
+    assert max(np.abs(v[75 * L :]).max() for v in calm.values()) < 0.01 * late
 
 
 def widened(model, kappa):
@@ -198,6 +200,55 @@ def test_the_program_is_that_of_an_independent_statement():
     assert _by_multipliers(loop, 0.995 * low).holds(loop)
     above = _by_multipliers(loop, 1.01 * high)
     assert above is None or not above.holds(loop)
+
+
+# ---- a published example ---------------------------------------------------------------------------------------------------
+
+
+def spring(k, h) -> UncertainLoop:
+    """x'' + x' + (2 + k delta) x = 0, delta from 0 to 1 as it likes, by Euler steps of h."""
+    return UncertainLoop([[1.0, h], [-h * (2.0 + 0.5 * k), 1.0 - h]], [[0.0], [h]], [[-1.0, 0.0]], [0.5 * k], [0]).balanced()
+
+
+def without_steps(of):
+    """of(h) at h = 0, from three steps."""
+    return (8.0 * of(0.01) - 6.0 * of(0.02) + of(0.04)) / 3.0
+
+
+def test_the_quadratic_margin_is_that_of_the_circle_criterion():
+    """1 + 2 sqrt 2: Zelentsovsky, IEEE Trans. Automatic Control 39 (1994)."""
+
+    def quadratic(h):
+        low, high = 2.0, 6.0
+        while high - low > 1e-5:
+            middle = 0.5 * (low + high)
+            found = _by_multipliers(spring(middle, h), 1.0)
+            low, high = (middle, high) if found is not None and found.holds(spring(middle, h)) else (low, middle)
+        return low
+
+    assert without_steps(quadratic) == pytest.approx(1.0 + 2.0 * np.sqrt(2.0), rel=1e-3)
+
+
+def test_the_worst_switching_is_the_published_one():
+    """k = 6.98513: Margaliot and Langholz, IEEE Trans. Circuits and Systems I 50 (2003); and in the plane, as every spring turns
+    the state the same way, that at which the largest growth over each angle adds up to nothing over half a turn."""
+    c, s = np.cos(angle := np.linspace(0.0, np.pi, 20001)), np.sin(angle)
+
+    def growth(k):
+        along, around = (np.array([f(2.0), f(2.0 + k)]) for f in (
+            lambda a: c * s - a * c * s - s**2, lambda a: a * c**2 + c * s + s**2))  # fmt: skip
+        return np.trapezoid((along / around).max(axis=0), angle)
+
+    assert brentq(growth, 1.0, 20.0) == pytest.approx(6.98513, abs=1e-4)
+
+    def refuted(h):
+        def beyond(k):
+            loop = spring(k, h)
+            return falsified(loop, frozen_margin(loop)).kappa - 1.0
+
+        return brentq(beyond, 4.0, 9.0, rtol=3e-3)
+
+    assert without_steps(refuted) == pytest.approx(6.98513, rel=0.005)
 
 
 # ---- certificates ---------------------------------------------------------------------------------------------------------
