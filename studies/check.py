@@ -605,10 +605,22 @@ def _worst_pictures(plant: Any, law: Any, scenario: Scenario, worst: Sequence[Wo
         ).experiment  # fmt: skip
         signal, N = found.limit.signal, min(len(before), len(after))
         t = before.t[:N]
-        shown = {"nominal machine": before[signal][:N], "worst machine": after[signal][:N]}
-        for side in ("low", "high"):
-            if math.isfinite(value := getattr(found.limit, side)):
-                shown[f"{side} limit"] = np.where(t >= found.limit.begin, value, np.nan)
-        unit = next(c.unit for c in before.channels if c.name == signal)
-        blocks.append(figures.responses(f"{signal} [{unit}] on the worst machine for its {found.bound}", t, shown, unit))
+        since = t >= found.limit.begin
+        limits = {
+            f"{side} limit": np.where(since, value, np.nan)
+            for side in ("low", "high")
+            if math.isfinite(value := getattr(found.limit, side))
+        }
+        if found.bound == "settling":
+            reference = before[dict(zip(law.measured, law.references, strict=False))[signal]][:N]
+            arrived = since & (t >= found.limit.settling + t[np.append(0, np.flatnonzero(np.diff(reference)) + 1)[-1]])
+            for side, way in (("low", -1.0), ("high", 1.0)):
+                limits[f"{side} end of the band"] = np.where(arrived, reference + way * found.limit.band, np.nan)
+        blocks.append(
+            figures.beside_limits(
+                f"{signal} on the worst machine for its {found.bound}", t, next(c for c in before.channels if c.name == signal),
+                {"nominal machine": before[signal][:N], "worst machine": after[signal][:N]}, limits,
+                f"{found.sentence}.",
+            )
+        )  # fmt: skip
     return blocks

@@ -17,7 +17,7 @@ from workbench.report.figures.modes import (
     parameters_along_time,
 )
 from workbench.report.figures.rates import Rates, rates, taken_for
-from workbench.report.figures.robustness import guaranteed
+from workbench.report.figures.robustness import beside_limits, guaranteed
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses
 from workbench.report.figures.scores import score_dots
 from workbench.report.figures.simulation import measured_and_simulated, responses
@@ -34,6 +34,7 @@ __all__ = [
     "Rates",
     "Trace",
     "Width",
+    "beside_limits",
     "closed_loop",
     "coefficient_functions",
     "domains",

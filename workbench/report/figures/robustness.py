@@ -55,3 +55,31 @@ def guaranteed(
     data = Data(title, (Column("t", t, "s"), *(Column(name, values, unit) for name, values in columns.items())))
     alt = f"{channel} over time within the band that holds every run, with {', '.join(runs) or 'no further run'}."
     return Picture(title, svg, caption, data, alt)
+
+
+def beside_limits(
+    title: str, t: np.ndarray, channel: Channel, runs: Mapping[str, np.ndarray], limits: Mapping[str, np.ndarray], caption: str
+) -> Picture:
+    """Runs of a signal over time and its limits; a limit that is far from every run is named below instead of drawn.
+
+    t (N) [s]; every curve (N) in the unit of the channel, NaN where there is none.
+    """
+    with canvas.style():
+        figure = canvas.sheet(3.0)
+        axes = figure.subplots()
+        own = np.concatenate(list(runs.values()))
+        far = canvas.limit(axes, own[np.isfinite(own)], list(limits.values()))
+        drawn = {name: values for i, (name, values) in enumerate(limits.items()) if i not in far}
+        handles = [
+            canvas.trace(axes, t, v, canvas.colour(i), f"run-{i}", dash=canvas.dash(i)) for i, v in enumerate(runs.values())
+        ]
+        handles += [canvas.trace(axes, t, v, MUTED, f"limit-{i}", dash=canvas.DASHES[1]) for i, v in enumerate(drawn.values())]
+        axes.set_ylabel(canvas.label(channel))
+        axes.set_xlabel("t [s]")
+        canvas.legend(figure, handles, [*runs, *drawn])
+        svg = canvas.render(figure)
+    unit = channel.unit
+    off = [f"{name} {np.nanmin(v):.4g} {unit}".rstrip() for name, v in limits.items() if name not in drawn]
+    said = caption + (f" Far from every run: {', '.join(off)}." if off else "")
+    data = Data(title, (Column("t", t, "s"), *(Column(name, values, unit) for name, values in {**runs, **limits}.items())))
+    return Picture(title, svg, said, data, f"{channel} over time: {', '.join(runs)}; limits: {', '.join(limits) or 'none'}.")
