@@ -249,6 +249,17 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--runs", type=_positive, help="runs of the plant for each limit (default 400, 40 for an MPC)")
     sub.add_argument("--seed", type=_seed, default=0, help="seed of the searches (default 0)")
 
+    sub = command(
+        "sweep",
+        "run a closed loop for many sets of values; every row is in a file as soon as it is there",
+        "examples:\n  workbench sweep sweep.toml --jobs 2\n  workbench sweep sweep.toml --out runs/mine --resume",
+    )
+    sub.add_argument("sweep", metavar="FILE", help="what varies, and what is run (TOML)")
+    sub.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes side by side (default 1)")
+    sub.add_argument("--resume", action="store_true", help="finish the sweep in --out: rows that it holds are not run again")
+    sub.add_argument("--plant", metavar="PLANT", help=f"instead of the file's: {PLANT_HELP}")
+    sub.add_argument("--controller", metavar="FILE", help="instead of the file's: controller written by design")
+
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
     sub.add_argument(
         "study",

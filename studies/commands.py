@@ -32,7 +32,7 @@ def run(options: Namespace) -> int:
     check_file(options.json, "--json")
     commands = {
         "simulate": simulate, "identify": identify, "compare": compare, "calibrate": calibrate, "diagnose": diagnose,
-        "design": design, "export": export, "check": check, "effects": effects, "doctor": doctor, "study": study,
+        "design": design, "export": export, "check": check, "effects": effects, "doctor": doctor, "sweep": sweep, "study": study,
     }  # fmt: skip
     return commands[options.command](options)
 
@@ -533,6 +533,13 @@ def doctor(options: Namespace) -> int:
     if options.json:
         write_json(options.json, {"findings": [vars(finding) for finding in findings]})
     return 0 if all(finding.fine for finding in findings) else 1
+
+
+def sweep(options: Namespace) -> int:
+    """Run a sweep, or finish one."""
+    from studies.sweeps import run as run_sweep
+
+    return run_sweep(options, say, progress)
 
 
 def study(options: Namespace) -> int:

@@ -40,13 +40,14 @@ from workbench.physics.plant import Parameter, Plant, Start
 from workbench.readers import check_units, read, read_all, write_csv
 from workbench.residuals import residual_test
 from workbench.simulate import Run, Scenario, replay, simulate, simulate_batch
+from workbench.sweep import load_sweep, read_rows, run_sweep
 
 __all__ = [
     "ARX", "EFFECTS", "FIR", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "BySchedule", "Channel", "Controller",
     "Dataset", "Experiment", "Gaussian", "InTime", "InclusionAll", "InclusionExact", "InclusionPaper", "InputError",
     "IntervalModel", "IntervalRegression", "LPVModel", "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear",
-    "Plant", "Playback", "Powers", "Pulley", "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start",
-    "Winding", "advice", "check_units", "cover", "feedback", "fit", "load_interval_model", "load_model", "noise_ceiling",
-    "read", "read_all", "replay", "residual_test", "rm", "rmse", "score", "segments", "simulate", "simulate_batch",
-    "write_csv",
+    "Plant", "Playback", "Powers", "Pulley", "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start", "Winding",
+    "advice", "check_units", "cover", "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling",
+    "read", "read_all", "read_rows", "replay", "residual_test", "rm", "rmse", "run_sweep", "score", "segments", "simulate",
+    "simulate_batch", "write_csv",
 ]  # fmt: skip

@@ -117,11 +117,13 @@ def simulate_batch(
     substeps: int | None = None,
     threads: int | None = None,
     bumpless: bool = False,
+    alone: bool = False,
 ) -> stepper.Trajectories:
     """R runs side by side: `parameters` (R, np) and `effects` (R, ne) in the plant's order, one scenario or one a run.
 
-    From the sample on at which a run leaves the plant's limits or the finite range it is NaN: in a sweep that is a result, not
-    a failure.
+    alone: every run takes as many integrator steps as it needs by itself, so that it is the same to the last bit whatever runs
+    beside it; else all take those of the one that needs most. From the sample on at which a run leaves the plant's limits or the
+    finite range it is NaN: in a sweep that is a result, not a failure.
     """
     each = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     p = plant.nominal[None] if parameters is None else np.atleast_2d(parameters)
@@ -131,7 +133,11 @@ def simulate_batch(
         if size not in (1, R):
             raise InputError(f"{size} {kind} for {R} runs", file=plant.name, mend=f"give 1 or {R}")
     lanes = _lanes(plant, controller, each, p, eta, bumpless)
-    run = stepper.run(plant, controller, lanes, _substeps(plant, lanes, substeps), threads or stepper.cores())
+    threads = threads or stepper.cores()
+    if alone and substeps is None:
+        run = _each_alone(plant, controller, lanes, threads)
+    else:
+        run = stepper.run(plant, controller, lanes, _substeps(plant, lanes, substeps), threads)
     for i, k in enumerate(_first_outside(plant, run.states)):
         for values in (run.states, run.measured, run.commands):
             values[i, k:] = np.nan
@@ -159,10 +165,23 @@ def replay(plant: Plant, experiment: Experiment, *, start: Mapping[str, float] |
     return replace(run, experiment=replace(run.experiment, t=experiment.t), states=replace(run.states, t=experiment.t))
 
 
+def _each_alone(plant: Plant, controller: Controller, lanes: stepper.Lanes, threads: int) -> stepper.Trajectories:
+    """The runs that take the same number of steps together, one such group after the other."""
+    needed = stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold)
+    parts: dict[str, np.ndarray] = {}
+    for used in np.unique(needed):
+        own = np.flatnonzero(needed == used)
+        group = stepper.run(plant, controller, replace(lanes, **{k: v[own] for k, v in vars(lanes).items()}), int(used), threads)
+        for name in ("states", "measured", "commands"):
+            values = getattr(group, name)
+            parts.setdefault(name, np.empty((len(needed), *values.shape[1:])))[own] = values
+    return stepper.Trajectories(**parts)
+
+
 def _substeps(plant: Plant, lanes: stepper.Lanes, wanted: int | None) -> int:
     if wanted is not None and wanted < 1:
         raise InputError(f"substeps {wanted}", mend="at least one integrator step a sample")
-    return wanted or stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold)
+    return wanted or int(stepper.substeps_for(plant, lanes.parameters, lanes.effects, lanes.start, lanes.hold).max())
 
 
 def _lanes(

@@ -350,22 +350,22 @@ def _grid(plant: Plant, effects: np.ndarray, substeps: int) -> tuple[np.ndarray,
     return np.ascontiguousarray(step), np.ascontiguousarray(back.astype(np.int64)), int(back.max(initial=0))
 
 
-def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, start: np.ndarray, hold: np.ndarray) -> int:
-    """Integrator steps a sample: the plant's own number, or more where a run's fastest mode asks for it (h |lambda| <= 1).
+def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, start: np.ndarray, hold: np.ndarray) -> np.ndarray:
+    """Integrator steps a sample (R): the plant's own number, or more where a run's fastest mode asks for it (h |lambda| <= 1).
 
     Modes are those of the Jacobian at the start and at rest, where smoothed dry friction is steepest. Shapes: (R, ...).
     """
     rest = start.copy()
     rest[:, [plant.state_names.index(speed) for speed in plant.turning.values()]] = 0.0
-    fastest = 0.0
+    fastest = np.zeros(len(start))
     for x, t in ((start, 0.0), (rest, 0.0), (rest, FOREVER)):  # what sets in later counts too
         A = plant.jacobians_of(x, hold, parameters, effects, t=t)[0]
-        fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
-    needed = int(np.ceil(plant.dt * fastest))
-    if needed > 2000:
+        fastest = np.maximum(fastest, np.abs(np.linalg.eigvals(A)).max(axis=-1))
+    needed = np.ceil(plant.dt * fastest).astype(int)
+    if needed.max() > 2000:
         raise InputError(
-            f"a mode of {fastest:.3g} 1/s would need {needed} integrator steps a sample",
+            f"a mode of {fastest.max():.3g} 1/s would need {needed.max()} integrator steps a sample",
             file=plant.name,
             mend="widen the smoothing of the dry friction, or raise the inertia",
         )
-    return max(plant.substeps, needed)
+    return np.maximum(plant.substeps, needed)

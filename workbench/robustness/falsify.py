@@ -532,7 +532,7 @@ class _Trials:
         for scenario in self.scenarios:
             try:
                 start, hold = self.plant.equilibria(p, **scenario.start)
-                self.substeps = max(self.substeps, stepper.substeps_for(self.plant, p, eta, start, hold))
+                self.substeps = max(self.substeps, int(stepper.substeps_for(self.plant, p, eta, start, hold).max()))
             except InputError:
                 if len(z) == 1:
                     continue  # said where it is run

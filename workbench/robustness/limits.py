@@ -10,12 +10,10 @@ plant means something is NaN from there on and breaks every limit, by infinitely
 """
 
 import math
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +22,7 @@ from workbench.physics.controller import Loop
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.simulate import Scenario
+from workbench.toml import Table, kind, read_toml
 
 BOUNDS = ("low", "high", "rate", "settling")
 RANGE = "range"  # the bound that a run breaks which has left the range of its plant
@@ -226,17 +225,8 @@ LOOP = ("stable", "margin", "sensitivity", "moving", "disk")
 
 def load_limits(path: str | Path) -> LoopLimits:
     """Read limits.toml; what is unknown, missing or makes no sense is refused with table, key, what is expected and the mend."""
-    path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as reason:
-        raise InputError(f"not TOML: {reason}", file=path, mend="texts and times in quotes? one key a line?") from None
-    except UnicodeDecodeError:
-        raise InputError("not a text file", file=path, mend="expected TOML in UTF-8") from None
-    except OSError as reason:
-        raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
-    top = _Table(path, "", content, TABLES)
-    run = _manoeuvre(top.table("run", RUN)) if "run" in content else None
+    top = read_toml(path, TABLES)
+    run = manoeuvre(top.table("run", RUN)) if "run" in top.content else None
     named = top.table("limits", None)
     limits = tuple(_limit(named.table(name, LIMIT), name, run) for name in named.content)
     loop = top.table("loop", LOOP)
@@ -255,74 +245,22 @@ def load_limits(path: str | Path) -> LoopLimits:
     return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity, loop.flag("moving", False), disk)
 
 
-class _Table:
-    """A table of a TOML file, read key by key."""
-
-    def __init__(self, file: Path, name: str, content: Any, known: Sequence[str] | None):
-        self.file, self.name, self.content = file, name, content
-        if not isinstance(content, dict):
-            raise InputError(f"{name} is {_kind(content)}", file=file, mend=f"expected a table: [{name}]")
-        for key in content if known is not None else ():
-            check_known(f"key in [{name}]" if name else "table", key, known or (), file=file)
-
-    def refused(self, key: str, what: str, expected: str) -> InputError:
-        return InputError(f"[{self.name}] {key} = {what}", file=self.file, mend=expected)
-
-    def table(self, key: str, known: Sequence[str] | None) -> "_Table":
-        return _Table(self.file, f"{self.name}.{key}" if self.name else key, self.content.get(key, {}), known)
-
-    def number(self, key: str) -> float | None:
-        """A finite number, None where there is none."""
-        if key not in self.content:
-            return None
-        value = self.content[key]
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.refused(key, _kind(value), "expected a number")
-        if not math.isfinite(value):
-            raise self.refused(key, f"{value}", "expected a finite number; leave out what has no bound")
-        return float(value)
-
-    def positive(self, key: str) -> float | None:
-        value = self.number(key)
-        if value is not None and value <= 0.0:
-            raise self.refused(key, f"{value:g}", "expected a number above 0")
-        return value
-
-    def time(self, key: str) -> float | None:
-        value = self.number(key)
-        if value is not None and value < 0.0:
-            raise self.refused(key, f"{value:g}", "expected seconds from the start of the run, 0 or later")
-        return value
-
-    def flag(self, key: str, default: bool) -> bool:
-        value = self.content.get(key, default)
-        if not isinstance(value, bool):
-            raise self.refused(key, _kind(value), "expected true or false")
-        return value
-
-
-def _kind(value: Any) -> str:
-    """A value as it is told in a message."""
-    if isinstance(value, str | int | float):
-        return repr(value)
-    return "a list" if isinstance(value, list) else f"a {type(value).__name__}"
-
-
-def _manoeuvre(run: _Table) -> Manoeuvre:
+def manoeuvre(run: Table) -> Manoeuvre:
+    """Of a table [run] with the keys RUN."""
     duration, seed = run.positive("duration"), run.content.get("seed")
     if duration is None:
         raise InputError("[run] duration is missing", file=run.file, mend="give the seconds of the run: duration = 20.0")
     if duration > 1e9:
         raise run.refused("duration", f"{duration:g}", "expected seconds")
     if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
-        raise run.refused("seed", _kind(seed), "expected a whole number from 0 on; leave it out for no noise")
+        raise run.refused("seed", kind(seed), "expected a whole number from 0 on; leave it out for no noise")
     start = run.table("start", None)
     setpoints = run.table("setpoints", None)
     values = {name: start.number(name) or 0.0 for name in start.content}
     return Manoeuvre(duration, {name: _steps(setpoints, name, duration) for name in setpoints.content}, values, seed)
 
 
-def _steps(table: _Table, name: str, duration: float) -> tuple[tuple[float, float], ...]:
+def _steps(table: Table, name: str, duration: float) -> tuple[tuple[float, float], ...]:
     """((0, value),) of a constant, else the (time, value) pairs as they are given."""
     given = table.content[name]
     if not isinstance(given, list):
@@ -331,7 +269,7 @@ def _steps(table: _Table, name: str, duration: float) -> tuple[tuple[float, floa
     for pair in given:
         numbers = pair if isinstance(pair, list) else []
         if len(numbers) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in numbers):
-            raise table.refused(name, _kind(given), "expected a number, or pairs [time, value]: [[0.0, 0.0], [5.0, 5.0]]")
+            raise table.refused(name, kind(given), "expected a number, or pairs [time, value]: [[0.0, 0.0], [5.0, 5.0]]")
         if not all(math.isfinite(v) for v in numbers):
             raise table.refused(name, f"{pair}", "expected finite numbers")
         pairs.append((float(numbers[0]), float(numbers[1])))
@@ -345,7 +283,7 @@ def _steps(table: _Table, name: str, duration: float) -> tuple[tuple[float, floa
     return tuple(pairs)
 
 
-def _limit(own: _Table, name: str, run: Manoeuvre | None) -> Limit:
+def _limit(own: Table, name: str, run: Manoeuvre | None) -> Limit:
     low, high, rate, band = own.number("low"), own.number("high"), own.positive("rate"), own.positive("band")
     settling, begin, unit = own.time("settling"), own.time("begin"), own.content.get("unit", "")
     if low is not None and high is not None and low > high:
@@ -360,7 +298,7 @@ def _limit(own: _Table, name: str, run: Manoeuvre | None) -> Limit:
     if low is None and high is None and rate is None and band is None:
         raise InputError(f"[{own.name}] keeps nothing", file=own.file, mend="give low, high, rate, or band and settling")
     if not isinstance(unit, str):
-        raise own.refused("unit", _kind(unit), "expected a text")
+        raise own.refused("unit", kind(unit), "expected a text")
     if run is not None:
         steps = run.setpoints.get(name, ((0.0, 0.0),))
         # a limit that holds from the end of the run on is kept by every loop
