@@ -160,6 +160,7 @@ def _plant_of(options: Namespace, kind: str) -> Chosen | None:
 
 def _finished(options: Namespace, folder: Path, path: Path, result: dict, files: list[str], say: Say) -> int:
     say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
+    say(f"      workbench check --controller {path} --limits limits.toml --model {options.model} --records ..")
     configuration = {key: value for key, value in vars(options).items() if key != "json"}
     whole = {"controller": str(path)} | result | {"provenance": provenance(configuration, files)}
     write_json(folder / "design.json", whole)

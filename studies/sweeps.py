@@ -196,7 +196,10 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
         raise InputError("which folder holds the sweep that is to go on?", mend="name it: --out DIR --resume")
     job = make(sweep, file, options)
     folder = run_folder(options.out, "sweep")
-    done = run_sweep(sweep, job, folder / "sweep.sqlite", resume=options.resume, jobs=options.jobs, progress=progress)
+    done = run_sweep(
+        sweep, job, folder / "sweep.sqlite", resume=options.resume, jobs=options.jobs, scheduler=options.scheduler,
+        progress=progress,
+    )  # fmt: skip
     export_csv(folder / "sweep.sqlite", folder / "sweep.csv")
     found = read_rows(folder / "sweep.sqlite")
     say(f"{done.runs} runs, {done.failed} failed; {done.made} of them now, in {done.seconds:.1f} s")

@@ -19,8 +19,9 @@ import math
 import os
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -34,7 +35,7 @@ from workbench.toml import Table, kind, read_toml
 
 DESIGNS = ("grid", "list", "random", "latin-hypercube", "sobol")
 FIRST, LONGEST, MOST = 8, 256, 1_000_000  # runs of the first blocks, of any block, and of a sweep
-BLOCK = 0.5  # s that a block of runs should take
+BLOCK, WAITED = 0.5, 10.0  # s that a block of runs should take, and that a scheduler is waited for
 KEYS = ("run", "design", "count", "seed", "seeds", "outputs", "parameters", "fixed")
 PARAMETER = ("values", "low", "high", "count", "scale")
 
@@ -234,9 +235,18 @@ class Swept:
 
 
 def run_sweep(
-    sweep: Sweep, job: Job, database: str | Path, *, resume: bool = False, jobs: int = 1, progress: Say = lambda _: None
+    sweep: Sweep,
+    job: Job,
+    database: str | Path,
+    *,
+    resume: bool = False,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Say = lambda _: None,
 ) -> Swept:
     """A row for every point, `jobs` processes side by side; resume: those that `database` holds are not run again.
+
+    scheduler: address of a Dask scheduler, whose workers then run it instead; a block whose worker dies goes to another one.
 
     A run that fails is a row with its error. Killed at any moment, only the runs under way are lost. Raises InputError for a file
     that exists (without resume), that another sweep, job or version wrote, or that another process writes to.
@@ -253,7 +263,7 @@ def run_sweep(
         have = {run for (run,) in connection.execute("SELECT run FROM runs")}
         todo = [point for point in points if point.run not in have]
         made = 0
-        for block, answers, seconds in _answers(job, todo, jobs):
+        for block, answers, seconds in _answers(job, todo, jobs, scheduler):
             _put(connection, block, answers, seconds, names, tuple(outputs))
             made += len(block)
             progress(_told(connection, len(points), made, len(todo), time.monotonic() - began))
@@ -267,32 +277,68 @@ def _told(connection: sqlite3.Connection, whole: int, made: int, todo: int, seco
     return f"{whole - todo + made} of {whole} runs" + f", {failed} failed" * (failed > 0) + f", {left:.0f} s left"
 
 
-def _answers(job: Job, todo: Sequence[Point], jobs: int) -> Iterator[tuple[Sequence[Point], list[Any], float]]:
+def _answers(
+    job: Job, todo: Sequence[Point], jobs: int, scheduler: str | None
+) -> Iterator[tuple[Sequence[Point], list[Any], float]]:
     """Blocks of points with their answers, in the order in which they are done; blocks grow to BLOCK seconds."""
-    size, taken = [min(FIRST, max(1, len(todo) // (4 * jobs)))], [0]
-
-    def blocks() -> Iterator[Sequence[Point]]:
-        while taken[0] < len(todo):
-            own = todo[taken[0] : taken[0] + size[0]]
-            taken[0] += len(own)
-            yield own
-
-    def learned(block: Sequence[Point], seconds: float) -> None:
-        fair = max(1, (len(todo) - taken[0]) // (2 * jobs))  # the last ones end together
-        size[0] = max(1, min(LONGEST, fair, round(BLOCK * len(block) / max(seconds, 1e-6))))
-
-    if jobs == 1:
-        for block in blocks():
-            _, answers, seconds = _block(job, block)
-            learned(block, seconds)
-            yield block, answers, seconds
+    if not todo:
         return
-    from joblib import Parallel, delayed
+    with _workers(jobs, scheduler) as (count, spread):
+        size, taken = [min(FIRST, max(1, len(todo) // (4 * count)))], [0]
 
-    pool: Any = Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch=f"2 * {jobs}")
-    for block, answers, seconds in pool(delayed(_block)(job, block) for block in blocks()):
-        learned(block, seconds)
-        yield block, answers, seconds
+        def blocks() -> Iterator[Sequence[Point]]:
+            while taken[0] < len(todo):
+                own = todo[taken[0] : taken[0] + size[0]]
+                taken[0] += len(own)
+                yield own
+
+        for block, answers, seconds in spread(job, blocks()):
+            fair = max(1, (len(todo) - taken[0]) // (2 * count))  # the last ones end together
+            size[0] = max(1, min(LONGEST, fair, round(BLOCK * len(block) / max(seconds, 1e-6))))
+            yield block, answers, seconds
+
+
+@contextmanager
+def _workers(jobs: int, scheduler: str | None) -> Iterator[tuple[int, Callable[[Job, Iterable[Sequence[Point]]], Iterable[Any]]]]:
+    """How many run side by side, and what sends them blocks and gives the answers."""
+    if jobs == 1 and scheduler is None:
+        yield 1, lambda job, blocks: (_block(job, block) for block in blocks)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    def spread(job: Job, blocks: Iterable[Sequence[Point]], count: int) -> Iterable[Any]:
+        pool: Any = Parallel(n_jobs=count, return_as="generator_unordered", pre_dispatch=f"2 * {count}")
+        return pool(delayed(_block)(job, block) for block in blocks)
+
+    if scheduler is None:
+        yield jobs, partial(spread, count=jobs)
+        return
+    with _cluster(scheduler) as count, parallel_config(backend="dask"):
+        yield count, partial(spread, count=count)
+
+
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[int]:
+    """Threads of all workers of a Dask scheduler, which must have this very software, and be asked by joblib from now on."""
+    try:
+        from distributed import Client
+    except ImportError:
+        mend = 'python -m pip install "gain-scheduling-workbench[cluster]"'
+        raise InputError("Dask is not installed", file=scheduler, mend=mend) from None
+    try:
+        client: Any = Client(scheduler, timeout=WAITED)
+    except (OSError, ValueError, TypeError) as reason:
+        mend = "start one with `dask scheduler`, and give the address that it prints: tcp://HOST:8786"
+        raise InputError(f"no Dask scheduler: {reason}", file=scheduler, mend=mend) from None
+    with client:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise InputError("the scheduler has no workers", file=scheduler, mend=f"start some: dask worker {scheduler}")
+        for worker, theirs in client.run(versions).items():
+            if other := [f"{name} {theirs.get(name)}, here {own}" for name, own in versions().items() if theirs.get(name) != own]:
+                mend = "install the same versions there: rows would not be those of one machine"
+                raise InputError(f"worker {worker} has {'; '.join(other)}", file=scheduler, mend=mend)
+        yield threads
 
 
 def _block(job: Job, block: Sequence[Point]) -> tuple[Sequence[Point], list[Any], float]:

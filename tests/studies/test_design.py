@@ -99,6 +99,7 @@ def test_a_law_comes_back_as_it_went(tmp_path, anti_windup):
 def test_a_fixed_law_says_where_it_breaks_its_bounds(folder, capsys):
     assert main(["design", "pid", "--model", str(folder / "m.json"), "--out", str(folder / "fixed")]) == 0
     said = capsys.readouterr().out
+    assert f"workbench check --controller {folder / 'fixed' / 'pid.json'} --limits limits.toml --model" in said
     assert "the fixed law breaks its bounds at" in said
     assert "workbench design scheduled-pid keeps them" in said
     # where it was made it keeps them, the effort too, which counts outputs in the design's own units

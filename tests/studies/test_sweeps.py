@@ -2,6 +2,11 @@
 
 import csv
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,10 +19,11 @@ from studies.cli import main
 from studies.sweeps import ClosedLoop
 from tests.controllers.test_nmpc import winding
 from tests.studies.test_robust_winding import law
+from workbench import sweep as engine
 from workbench.errors import InputError
 from workbench.robustness.limits import Manoeuvre
 from workbench.simulate import simulate, simulate_batch
-from workbench.sweep import Point, read_rows
+from workbench.sweep import Factor, Point, Sweep, read_rows, run_sweep
 
 WINDING = PLANTS["web-winding"]
 FRICTION = "coulomb@unwind:level"
@@ -193,3 +199,68 @@ def test_a_text_for_a_number_is_refused_by_the_job_itself():
     )
     with pytest.raises(InputError, match="expected a number"):
         job([Point(0, 0, {"kE": "stiff"})])
+
+
+# ---- on a cluster -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Address of a Dask scheduler, and its two workers: processes of their own."""
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    where, log = tmp_path / "scheduler.json", (tmp_path / "cluster.log").open("w")
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OPENBLAS_NUM_THREADS": "1"}
+
+    def started(name, *options):
+        command = [sys.executable, "-m", f"distributed.cli.dask_{name}", *options]
+        return subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+
+    scheduler = started("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(where))
+    processes = [scheduler]
+    try:
+        deadline = time.monotonic() + 60.0
+        while not where.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        address = json.loads(where.read_text())["address"]
+        workers = [started("worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard") for _ in range(2)]
+        processes += workers
+        waited = subprocess.run(
+            [sys.executable, "-c", f"from distributed import Client; Client({address!r}).wait_for_workers(2, timeout=60)"],
+            capture_output=True, text=True, env=environment,
+        )  # fmt: skip
+        assert waited.returncode == 0, waited.stderr
+        yield address, workers
+    finally:
+        for process in reversed(processes):
+            process.kill()
+            process.wait()
+        log.close()
+
+
+@pytest.mark.filterwarnings("default")  # Dask's own
+def test_on_a_cluster_of_which_a_worker_dies_the_rows_are_the_same(cluster, tmp_path):
+    address, workers = cluster
+    setpoints = {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0), (5.0, 5.0))}
+    job = ClosedLoop("web-winding", text_of(law("scheduled", 1.2)), Manoeuvre(20.0, setpoints), ("kE",))
+    sweep = Sweep("closed-loop", (Factor("kE", (), 150.0, 250.0),), "sobol", 256)
+    said = []
+
+    def killing(text):
+        said.append(text)
+        workers[0].kill()
+
+    done = run_sweep(sweep, job, tmp_path / "cluster.sqlite", scheduler=address, progress=killing)
+    assert (done.runs, done.failed) == (256, 0)
+    assert len(said) > 4
+    assert workers[0].wait() == -signal.SIGKILL
+    run_sweep(sweep, job, tmp_path / "here.sqlite")
+    assert read_rows(tmp_path / "cluster.sqlite").rows == read_rows(tmp_path / "here.sqlite").rows
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_scheduler_that_is_none_is_said(asked, capsys, monkeypatch):
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    monkeypatch.setattr(engine, "WAITED", 0.5)
+    for address, why in (("tcp://127.0.0.1:9", "no Dask scheduler"), ("nonsense", "no Dask scheduler")):
+        assert main(["sweep", "sweep.toml", "--out", f"o{len(address)}", "--scheduler", address]) == 2
+        assert why in capsys.readouterr().err
