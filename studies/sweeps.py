@@ -5,6 +5,7 @@
 Parameters of a closed loop are those of the plant, and numbers of its effects: J1, coulomb@unwind:level.
 """
 
+import importlib
 import json
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
@@ -15,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from controllers.files import controller_of
-from studies.arguments import find_plant, run_folder, trusted_plant
+from studies.arguments import choose_plant, find_plant, run_folder, trusted_plant
 from workbench.errors import InputError, check_known
-from workbench.files import read_json, write_json
+from workbench.files import read_json, sha256, write_json
 from workbench.metrics import tracking
 from workbench.physics.controller import Controller
 from workbench.physics.plant import Plant
-from workbench.records import record
+from workbench.records import field, record
 from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
 from workbench.simulate import LeftRangeError, Scenario, simulate, simulate_batch
-from workbench.sweep import Factor, Job, Point, Sweep, export_csv, load_sweep, read_rows, run_sweep
+from workbench.sweep import Factor, Job, Point, StoppedError, Sweep, export_csv, load_sweep, read_rows, run_sweep
 from workbench.toml import Table
 
 Say = Callable[[str], None]
@@ -35,9 +36,10 @@ MEASURES = ("RMS", "max", "IAE")
 
 @record
 class ClosedLoop:
-    """A plant (as `find_plant` knows it) under a controller (the text of its file) through a run, with noise of the point's seed.
+    """A plant (as `choose_plant` knows it) under a controller (the text of its file) through a run, with the noise of a seed.
 
     For each output with a set-point RMS, max and IAE of its error, for each command its travel: sum of |u(k) - u(k-1)|.
+    sources: SHA-256 of the files that make the plant; where they have changed no run is made.
     """
 
     plant: str
@@ -45,6 +47,7 @@ class ClosedLoop:
     run: Manoeuvre
     parameters: tuple[str, ...]
     noise: bool = True
+    sources: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
         for name in self.parameters:
@@ -53,7 +56,7 @@ class ClosedLoop:
 
     @property
     def _machine(self) -> Plant:
-        return find_plant(self.plant)
+        return _machine(self.plant, tuple(self.sources.items()))
 
     @property
     def _law(self) -> Any:
@@ -61,7 +64,7 @@ class ClosedLoop:
 
     @property
     def configuration(self) -> Mapping[str, Any]:
-        return {**vars(self), "run": vars(self.run), "plant": [self.plant, self._machine.nominal.tolist(), self._machine.dt]}
+        return {**vars(self), "run": vars(self.run)}
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -155,6 +158,27 @@ def _number(name: str, value: float | str) -> float:
 
 
 @lru_cache(maxsize=8)
+def _machine(plant: str, sources: tuple[tuple[str, str], ...]) -> Plant:
+    """Made once in every process, from the files that the sweep began with."""
+    for path, digest in sources:
+        if sha256(path) != digest:
+            raise StoppedError(
+                "has changed since the sweep began", file=path, mend="begin the sweep anew in another --out folder"
+            )
+    return find_plant(plant)
+
+
+def _sources(plant: str) -> dict[str, str]:
+    """The files of one's own plant: of its module, and those that extend it."""
+    chosen = choose_plant(plant)
+    module, colon, _ = chosen.base.rpartition(":")
+    if colon:
+        found = module if module.endswith(".py") else importlib.import_module(module).__file__
+        return {str(Path(path).resolve()): sha256(path) for path in (found, *chosen.files) if path}
+    return {str(Path(path).resolve()): sha256(path) for path in chosen.files}
+
+
+@lru_cache(maxsize=8)
 def _law(text: str, plant: str) -> Any:
     return controller_of(json.loads(text), "controller", lambda base: trusted_plant(base, plant))
 
@@ -168,15 +192,16 @@ def _closed_loop(sweep: Sweep, file: Path, options: Namespace) -> Job:
     law = Path(options.controller) if options.controller else _beside(file, own.text("controller", None))
     if "run" not in own.content:
         raise InputError("[fixed.run] is missing", file=file, mend="give its duration and set-points: [fixed.run.setpoints]")
-    text = json.dumps(read_json(law), sort_keys=True)
-    return ClosedLoop(
-        plant, text, manoeuvre(own.table("run", RUN)), tuple(p.name for p in sweep.factors), own.flag("noise", True)
-    )
+    table = own.table("run", [key for key in RUN if key != "seed"])  # seeds are the sweep's
+    text, names = json.dumps(read_json(law), sort_keys=True), tuple(p.name for p in sweep.factors)
+    return ClosedLoop(plant, text, manoeuvre(table), names, own.flag("noise", True), _sources(plant))
 
 
 def _beside(file: Path, name: str) -> Path:
     """A file that a sweep names: in its own folder or below."""
     folder = file.resolve().parent
+    if "\0" in name:
+        raise InputError(f"controller = {name!r}", file=file, mend="expected the name of a file")
     path = (folder / name).resolve()
     if not path.is_relative_to(folder):
         raise InputError(f"controller = {name!r} leaves the sweep's folder", file=file, mend=f"give --controller {name}")

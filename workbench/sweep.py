@@ -19,6 +19,7 @@ import math
 import os
 import sqlite3
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
@@ -31,13 +32,20 @@ from workbench.errors import InputError, check_known
 from workbench.files import write_text
 from workbench.provenance import versions
 from workbench.records import field, record
-from workbench.toml import Table, kind, read_toml
+from workbench.toml import Table, finite, kind, read_toml
 
 DESIGNS = ("grid", "list", "random", "latin-hypercube", "sobol")
-FIRST, LONGEST, MOST = 8, 256, 1_000_000  # runs of the first blocks, of any block, and of a sweep
+LONGEST, MOST = 256, 1_000_000  # runs of a block, and of a sweep
 BLOCK, WAITED = 0.5, 10.0  # s that a block of runs should take, and that a scheduler is waited for
 KEYS = ("run", "design", "count", "seed", "seeds", "outputs", "parameters", "fixed")
 PARAMETER = ("values", "low", "high", "count", "scale")
+
+
+class StoppedError(InputError):
+    """What a job raises where no run makes sense any more: it ends the sweep and is nobody's row."""
+
+
+PASSING = (MemoryError, ImportError, StoppedError)  # what ends the sweep: the same run may come to an end another time
 
 Say = Callable[[str], None]
 
@@ -60,9 +68,13 @@ class Factor:
         """The value at a share in [0, 1] of the range, or of the list of values."""
         if self.values:
             return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+        if share in (0.0, 1.0):
+            return self.high if share else self.low
         if self.log:
-            return float(math.exp((1.0 - share) * math.log(self.low) + share * math.log(self.high)))
-        return float((1.0 - share) * self.low + share * self.high)
+            value = math.exp((1.0 - share) * math.log(self.low) + share * math.log(self.high))
+        else:
+            value = (1.0 - share) * self.low + share * self.high
+        return min(max(value, self.low), self.high)
 
     @property
     def levels(self) -> tuple[float | str, ...]:
@@ -147,6 +159,8 @@ def load_sweep(path: str | Path) -> Sweep:
     count = top.whole("count", 0)
     if design in ("grid", "list") and count:
         raise top.refused("count", str(count), f"a {design} has as many points as its values make: leave it out")
+    if count > MOST:
+        raise top.refused("count", str(count), f"at most {MOST}")
     if design not in ("grid", "list") and count < 1:
         raise InputError(f"design {design} without count", file=path, mend="give count = 100, the sets of values to draw")
     lengths = {len(p.values) for p in factors}
@@ -157,7 +171,7 @@ def load_sweep(path: str | Path) -> Sweep:
     if (
         not isinstance(seeds, list)
         or not seeds
-        or not all(type(s) is int and s >= 0 for s in seeds)
+        or not all(type(s) is int and 0 <= s < 2**63 for s in seeds)
         or len({*seeds}) < len(seeds)
     ):
         raise top.refused("seeds", kind(seeds), "expected whole numbers from 0 on, each once: seeds = [1, 2, 3]")
@@ -194,7 +208,7 @@ def _factor(own: Table, name: str, design: str) -> Factor:
 
 
 def _is_value(value: Any) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    number = isinstance(value, int | float) and not isinstance(value, bool) and finite(value)
     return isinstance(value, str) or number
 
 
@@ -248,15 +262,17 @@ def run_sweep(
 
     scheduler: address of a Dask scheduler, whose workers then run it instead; a block whose worker dies goes to another one.
 
-    A run that fails is a row with its error. Killed at any moment, only the runs under way are lost. Raises InputError for a file
-    that exists (without resume), that another sweep, job or version wrote, or that another process writes to.
+    A run that fails is a row with its error. Killed at any moment, only the blocks under way are lost: single runs, or as many as
+    take half a second. Raises InputError for a file that exists (without resume), that another sweep, job or version wrote, or
+    that another process writes to.
     """
     database, began = Path(database), time.monotonic()
     names = tuple(p.name for p in sweep.factors)
     for name in sweep.outputs:
         check_known("output", name, job.outputs)
     outputs = {name: unit for name, unit in job.outputs.items() if not sweep.outputs or name in sweep.outputs}
-    if doubled := {name.lower() for name in names} & {name.lower() for name in (*outputs, "run", "seed", "error")}:
+    columns = Counter(name.casefold() for name in (*names, *outputs, "run", "seed", "error"))
+    if doubled := [name for name in names if columns[name.casefold()] > 1]:
         raise InputError(f"{', '.join(sorted(doubled))} is the name of another column", mend="give the parameter another name")
     points = sweep.points()
     with _opened(database, sweep, job, outputs, resume) as connection:
@@ -284,7 +300,7 @@ def _answers(
     if not todo:
         return
     with _workers(jobs, scheduler) as (count, spread):
-        size, taken = [min(FIRST, max(1, len(todo) // (4 * count)))], [0]
+        size, taken = [1], [0]
 
         def blocks() -> Iterator[Sequence[Point]]:
             while taken[0] < len(todo):
@@ -294,7 +310,7 @@ def _answers(
 
         for block, answers, seconds in spread(job, blocks()):
             fair = max(1, (len(todo) - taken[0]) // (2 * count))  # the last ones end together
-            size[0] = max(1, min(LONGEST, fair, round(BLOCK * len(block) / max(seconds, 1e-6))))
+            size[0] = max(1, min(LONGEST, fair, 2 * len(block), round(BLOCK * len(block) / max(seconds, 1e-6))))
             yield block, answers, seconds
 
 
@@ -311,7 +327,13 @@ def _workers(jobs: int, scheduler: str | None) -> Iterator[tuple[int, Callable[[
         return pool(delayed(_block)(job, block) for block in blocks)
 
     if scheduler is None:
-        yield jobs, partial(spread, count=jobs)
+        from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+        try:
+            yield jobs, partial(spread, count=jobs)
+        except TerminatedWorkerError:
+            mend = "--resume --jobs 1 goes on, and shows at which run; is there enough memory?"
+            raise InputError("a run has ended its whole process", file="sweep", mend=mend) from None
         return
     with _cluster(scheduler) as count, parallel_config(backend="dask"):
         yield count, partial(spread, count=count)
@@ -349,6 +371,8 @@ def _block(job: Job, block: Sequence[Point]) -> tuple[Sequence[Point], list[Any]
     with threadpool_limits(1):
         try:
             answers = job(block)
+        except PASSING:
+            raise
         except Exception as reason:
             answers = [_alone(job, point) for point in block] if len(block) > 1 else [reason]
     plain = [_said(a) if isinstance(a, Exception) else {k: float(v) for k, v in a.items()} for a in answers]
@@ -358,6 +382,8 @@ def _block(job: Job, block: Sequence[Point]) -> tuple[Sequence[Point], list[Any]
 def _alone(job: Job, point: Point) -> Any:
     try:
         return job([point])[0]
+    except PASSING:
+        raise
     except Exception as reason:
         return reason
 
@@ -372,10 +398,8 @@ def _said(reason: Exception) -> str:
 
 def configuration(sweep: Sweep, job: Job) -> str:
     """What rows must share to stand in one file: a hash of the sweep, of the job and of the versions of all that computes."""
-    content = json.dumps(
-        [sweep.content(), dict(job.units), dict(job.outputs), repr(job), versions()], sort_keys=True, default=list
-    )
-    return hashlib.sha256(content.encode()).hexdigest()[:16]
+    asked = [sweep.content(), job.configuration, job.units, job.outputs, versions()]
+    return hashlib.sha256(json.dumps(asked, sort_keys=True, default=_plain).encode()).hexdigest()[:16]
 
 
 def _plain(value: Any) -> Any:
@@ -391,7 +415,8 @@ def _opened(database: Path, sweep: Sweep, job: Job, outputs: Mapping[str, str], 
         raise InputError("there is nothing to resume", file=database, mend="leave --resume out, or give the folder of that sweep")
     try:
         database.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(database, os.O_RDWR | os.O_CREAT, 0o644)
+        # beside the database: closing a descriptor of its own would drop what SQLite has locked
+        handle = os.open(f"{database}.lock", os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as reason:
         raise InputError(f"cannot write: {reason.strerror}", file=database, mend="choose another --out folder") from None
     try:
@@ -404,15 +429,19 @@ def _opened(database: Path, sweep: Sweep, job: Job, outputs: Mapping[str, str], 
             _prepared(connection, database, sweep, job, outputs)
             yield connection
     except sqlite3.Error as reason:
-        raise InputError(f"cannot be written: {reason}", file=database, mend="free some space, then --resume") from None
+        mend = "stop what else writes to it" if "locked" in str(reason) else "free some space"
+        raise InputError(f"cannot be written: {reason}", file=database, mend=f"{mend}, then --resume") from None
     finally:
         os.close(handle)
 
 
 def _connected(database: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(database, isolation_level=None)
+    connection = sqlite3.connect(database, isolation_level=None, timeout=WAITED)
     try:
         connection.execute("SELECT * FROM sqlite_master")
+    except sqlite3.OperationalError as reason:
+        connection.close()
+        raise InputError(f"cannot be read: {reason}", file=database, mend="try again when nobody writes to it") from None
     except sqlite3.DatabaseError as reason:
         connection.close()
         raise InputError(f"no database: {reason}", file=database, mend="give the file that a sweep has written") from None
@@ -421,6 +450,7 @@ def _connected(database: Path) -> sqlite3.Connection:
 
 def _prepared(connection: sqlite3.Connection, database: Path, sweep: Sweep, job: Job, outputs: Mapping[str, str]) -> None:
     """The tables: made at once or not at all; those of another sweep are refused."""
+    connection.execute("PRAGMA journal_mode=WAL")  # who reads does not stop who writes, nor the other way round
     wanted = configuration(sweep, job)
     if connection.execute("SELECT COUNT(*) FROM sqlite_master WHERE name = 'about'").fetchone()[0]:
         held = dict(connection.execute("SELECT name, value FROM about"))
@@ -449,7 +479,8 @@ def _prepared(connection: sqlite3.Connection, database: Path, sweep: Sweep, job:
 
 
 def _kind_of(factor: Factor) -> str:
-    return "TEXT" if any(isinstance(value, str) for value in factor.values) else "REAL"
+    """The type of its column; none, which changes no value, where numbers and texts are mixed."""
+    return "" if any(isinstance(value, str) for value in factor.values) else "REAL"
 
 
 def _quoted(name: str) -> str:

@@ -18,6 +18,8 @@ def read_toml(path: str | Path, known: Sequence[str] | None = None) -> "Table":
         raise InputError(f"not TOML: {reason}", file=path, mend="texts and times in quotes? one key a line?") from None
     except UnicodeDecodeError:
         raise InputError("not a text file", file=path, mend="expected TOML in UTF-8") from None
+    except (ValueError, RecursionError) as reason:
+        raise InputError(f"not TOML that makes sense: {reason}", file=path, mend="a number of thousands of digits?") from None
     except OSError as reason:
         raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
     return Table(path, "", content, known)
@@ -46,8 +48,8 @@ class Table:
         value = self.content[key]
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refused(key, kind(value), "expected a number")
-        if not math.isfinite(value):
-            raise self.refused(key, f"{value}", "expected a finite number; leave out what has no bound")
+        if not finite(value):
+            raise self.refused(key, f"{value}"[:40], "expected a finite number; leave out what has no bound")
         return float(value)
 
     def positive(self, key: str) -> float | None:
@@ -65,8 +67,8 @@ class Table:
     def whole(self, key: str, default: int) -> int:
         """A whole number from 0 on."""
         value = self.content.get(key, default)
-        if type(value) is not int or value < 0:
-            raise self.refused(key, kind(value), "expected a whole number from 0 on")
+        if type(value) is not int or not 0 <= value < 2**63:
+            raise self.refused(key, kind(value)[:40], "expected a whole number from 0 on")
         return value
 
     def text(self, key: str, default: str | None) -> str:
@@ -83,6 +85,14 @@ class Table:
         if not isinstance(value, bool):
             raise self.refused(key, kind(value), "expected true or false")
         return value
+
+
+def finite(value: float) -> bool:
+    """Whether a number is finite as a float: a whole number may have hundreds of digits."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def kind(value: Any) -> str:

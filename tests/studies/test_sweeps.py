@@ -23,7 +23,7 @@ from workbench import sweep as engine
 from workbench.errors import InputError
 from workbench.robustness.limits import Manoeuvre
 from workbench.simulate import simulate, simulate_batch
-from workbench.sweep import Factor, Point, Sweep, read_rows, run_sweep
+from workbench.sweep import Factor, Point, StoppedError, Sweep, read_rows, run_sweep
 
 WINDING = PLANTS["web-winding"]
 FRICTION = "coulomb@unwind:level"
@@ -114,6 +114,27 @@ def test_who_is_beside_a_run_does_not_matter():
     np.testing.assert_array_equal(beside.states[1], alone.states[1])
 
 
+def test_a_start_that_is_hard_to_find_does_not_move_its_neighbours():
+    """Newton's method takes more steps for some radii than for others."""
+    setpoints = {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0),)}
+    job = ClosedLoop("web-winding", text_of(law("scheduled", 1.2)), Manoeuvre(0.4, setpoints), ("r3", "T_set"))
+    random = np.random.default_rng(0)
+    points = [Point(i, 0, {"r3": random.uniform(0.005, 0.02), "T_set": random.uniform(0.2, 0.4)}) for i in range(40)]
+    assert job(points) == [job([point])[0] for point in points]
+
+
+def test_a_plant_that_has_changed_is_another_one(asked, capsys):
+    mine = asked / "mine.py"
+    mine.write_text("from plants import PLANTS\n\nPLANT = PLANTS['web-winding']\n", encoding="utf-8")
+    assert main(["sweep", "sweep.toml", "--plant", "mine.py:PLANT", "--out", "o"]) == 0
+    mine.write_text(mine.read_text() + "# another one\n", encoding="utf-8")
+    assert main(["sweep", "sweep.toml", "--plant", "mine.py:PLANT", "--out", "o", "--resume"]) == 2
+    assert "holds rows of another sweep, job or version" in capsys.readouterr().err
+    setpoints = {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0),)}
+    with pytest.raises(StoppedError, match="has changed since the sweep began"):
+        ClosedLoop("mine.py:PLANT", text_of(law("x", 1.0)), Manoeuvre(1.0, setpoints), (), sources={str(mine): "0" * 64})
+
+
 def text_of(controller):
     """What the file of a controller holds."""
     with TemporaryDirectory() as folder:
@@ -175,6 +196,8 @@ def test_what_was_begun_is_finished(asked, capsys):
         ('controller = "pid.json"\n', "", "controller is missing"),
         ("theta = 0", "", "no set-point for theta"),
         ("duration = 3.0", "duration = 0.0", r"\[fixed.run\] duration = 0"),
+        ("duration = 3.0", "duration = 3.0\nseed = 7", "'seed'"),
+        ('controller = "pid.json"', 'controller = "a\\u0000b"', "expected the name of a file"),
         ("[fixed.run]", "[fixed.runs]", "key in [fixed] 'runs'"),
     ],
 )

@@ -19,9 +19,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import qmc
 
+from workbench import sweep as engine
 from workbench.errors import InputError
 from workbench.records import record
-from workbench.sweep import Factor, Sweep, export_csv, load_sweep, read_rows, run_sweep
+from workbench.sweep import Factor, StoppedError, Sweep, export_csv, load_sweep, read_rows, run_sweep
 
 
 @record
@@ -52,6 +53,25 @@ class Areas:
             else {"area": self.scale * p.values["a"] * p.values["b"] * (1 + p.seed), "root of a": math.nan}
             for p in points
         ]  # fmt: skip
+
+
+class Free(Areas):
+    """Takes whatever there is, counts its blocks, and raises what it is told to."""
+
+    def __init__(self, fault: Exception | None = None):
+        super().__init__()
+        vars(self).update(seen=[], fault=fault)
+
+    def __call__(self, points):
+        if self.fault:
+            raise self.fault
+        self.seen.append(len(points))
+        return [{"area": 1.0}] * len(points)
+
+
+class Deadly(Areas):
+    def __call__(self, points):
+        os._exit(3)
 
 
 A, B = Factor("a", (1.0, 2.0, 3.0)), Factor("b", (), 10.0, 20.0, 3)
@@ -144,9 +164,45 @@ def test_as_csv(tmp_path):
 
 
 def test_a_name_of_another_column_is_refused(tmp_path):
-    for name in ("Area", "seed", "error"):
+    for names in (("Area",), ("seed",), ("error",), ("a", "A")):
         with pytest.raises(InputError, match="is the name of another column"):
-            run_sweep(Sweep("areas", (Factor(name, (1.0,)),)), Areas(), tmp_path / "r.sqlite")
+            run_sweep(Sweep("areas", tuple(Factor(name, (1.0,)) for name in names)), Areas(), tmp_path / "r.sqlite")
+    assert not list(tmp_path.iterdir())
+
+
+def test_values_come_back_as_they_went(tmp_path):
+    """Also numbers among texts, and the ends of a logarithmic range."""
+    b = Factor("b", (), 0.1, 10.0, 5, True)
+    assert (b.levels[0], b.levels[-1]) == (0.1, 10.0)
+    assert all(0.1 <= level <= 10.0 for level in b.levels)
+    run_sweep(
+        Sweep("areas", (Factor("a", (0.1 + 0.2, 2.0)), Factor("law", ("pid", 0.1 + 0.2, 2.0)))), Free(), tmp_path / "r.sqlite"
+    )
+    assert [row[2:4] for row in rows(tmp_path / "r.sqlite")] == [
+        (a, law) for a in (0.1 + 0.2, 2.0) for law in ("pid", 0.1 + 0.2, 2.0)
+    ]
+
+
+def test_blocks_grow_no_faster_than_by_doubling(tmp_path):
+    """Where the first runs are quick the next ones may be slow."""
+    job = Free()
+    run_sweep(Sweep("areas", (Factor("a", (), 1.0, 2.0),), "random", 100), job, tmp_path / "r.sqlite")
+    assert job.seen[:3] == [1, 2, 4]
+    assert max(job.seen) > 8
+    assert sum(job.seen) == 100
+
+
+def test_what_makes_no_sense_any_more_ends_the_sweep(tmp_path):
+    with pytest.raises(StoppedError, match="has changed"):
+        run_sweep(Sweep("areas", (A, B)), Free(StoppedError("has changed", file="plant.py")), tmp_path / "r.sqlite")
+    assert not rows(tmp_path / "r.sqlite")
+    with pytest.raises(MemoryError):
+        run_sweep(Sweep("areas", (A, B)), Free(MemoryError()), tmp_path / "s.sqlite")
+
+
+def test_a_run_that_ends_its_process_is_said(tmp_path):
+    with pytest.raises(InputError, match="a run has ended its whole process"):
+        run_sweep(Sweep("areas", (A, B)), Deadly(), tmp_path / "r.sqlite", jobs=2)
 
 
 # ---- what was cut off goes on -------------------------------------------------------------------------------------------------
@@ -195,6 +251,60 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         read_rows(tmp_path / "empty.sqlite")
 
 
+def test_rows_of_another_version_are_refused(tmp_path, monkeypatch):
+    run_sweep(Sweep("areas", (A, B)), Areas(), tmp_path / "r.sqlite")
+    monkeypatch.setattr(engine, "versions", lambda: {"numpy": "0.1"})
+    with pytest.raises(InputError, match="holds rows of another sweep, job or version"):
+        run_sweep(Sweep("areas", (A, B)), Areas(), tmp_path / "r.sqlite", resume=True)
+
+
+def test_a_block_is_there_or_not_at_all(tmp_path):
+    """Where the second table refuses, the first has nothing of it either."""
+    path, sweep = tmp_path / "r.sqlite", Sweep("areas", (A, B), seeds=(0, 1, 2))
+
+    def obstructed(_):
+        with sqlite3.connect(path) as connection:
+            connection.execute("INSERT INTO timing VALUES (2, 0.0)")
+
+    with pytest.raises(InputError, match="cannot be written: UNIQUE"):
+        run_sweep(sweep, Areas(), path, progress=obstructed)
+    assert [row[0] for row in rows(path)] == [0]
+    with sqlite3.connect(path) as connection:
+        connection.execute("DELETE FROM timing WHERE run = 2")
+    assert run_sweep(sweep, Areas(), path, resume=True).made == 26
+
+
+def test_tables_are_there_or_not_at_all(tmp_path, monkeypatch):
+    path, calls = tmp_path / "r.sqlite", []
+
+    def failing():
+        calls.append(0)
+        if len(calls) > 1:  # for the hash first, then inside of what makes the tables
+            raise CutError
+        return {}
+
+    with monkeypatch.context() as patch:
+        patch.setattr(engine, "versions", failing)
+        with pytest.raises(CutError):
+            run_sweep(Sweep("areas", (A, B)), Areas(), path)
+    with pytest.raises(InputError, match="holds no sweep"):
+        read_rows(path)
+    assert run_sweep(Sweep("areas", (A, B)), Areas(), path, resume=True).made == 9
+
+
+def test_who_reads_does_not_stop_who_writes(tmp_path):
+    path, readers = tmp_path / "r.sqlite", []
+
+    def reading(_):
+        readers.append(sqlite3.connect(path).execute("SELECT * FROM runs, columns"))
+        assert readers[-1].fetchone()
+
+    done = run_sweep(Sweep("areas", (A, B), seeds=(0, 1, 2)), Areas(), path, progress=reading)
+    assert done.runs == 27
+    for reader in readers:
+        reader.connection.close()
+
+
 def test_two_writers_are_one_too_many(tmp_path):
     sweep, path, refused = Sweep("areas", (A, B)), tmp_path / "r.sqlite", []
 
@@ -208,7 +318,8 @@ def test_two_writers_are_one_too_many(tmp_path):
     assert len(rows(path)) == 9
 
 
-def test_killed_again_and_again(tmp_path):
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_killed_again_and_again(tmp_path, jobs):
     """kill -9 at random moments: what is there stays, nothing is there twice, and the end is that of an undisturbed run."""
     root, path = Path(__file__).parents[2], tmp_path / "killed.sqlite"
     code = f"""
@@ -218,20 +329,25 @@ from pathlib import Path
 from tests.workbench.test_sweep import Areas, MANY
 from workbench.sweep import run_sweep
 path = Path({str(path)!r})
-run_sweep(MANY, Areas(pause=0.004), path, resume=path.exists())
+run_sweep(MANY, Areas(pause=0.004), path, resume=path.exists(), jobs={jobs})
 """
     moments, seen = random.Random(1), 0
     for kills in range(6):
-        process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+            env=os.environ | {"PYTHONPATH": str(root)},
+        )  # fmt: skip
         while process.poll() is None and held(path) <= seen:
             time.sleep(0.01)
         time.sleep(moments.uniform(0.0, 0.1))
         if kills < 5:
-            os.kill(process.pid, signal.SIGKILL)
+            os.killpg(process.pid, signal.SIGKILL)
         _, complaint = process.communicate()
         assert process.returncode == (-signal.SIGKILL if kills < 5 else 0), complaint.decode()
         assert held(path) > seen
         seen = held(path)
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("SELECT COUNT(*), COUNT(DISTINCT run) FROM timing").fetchone() == (500, 500)
     run_sweep(MANY, Areas(), tmp_path / "whole.sqlite")
     assert rows(path) == rows(tmp_path / "whole.sqlite")
 
@@ -295,6 +411,12 @@ def test_a_file_is_the_sweep_it_says(tmp_path):
         ("count = 40", "cuont = 40", "unknown table 'cuont'"),
         ("[1, 2]", "[1, 1]", "seeds = a list"),
         ("[1, 2]", "[]", "seeds = a list"),
+        ("[1, 2]", f"[1, {10**20}]", "seeds = a list"),
+        ("seed = 3", f"seed = {10**20}", "seed = 1000"),
+        ("count = 40", f"count = {10**12}", "at most 1000000"),
+        ("high = 10", "high = 1" + 400 * "0", "expected a finite number"),
+        ("high = 10", "high = 1" + 5000 * "0", "not TOML that makes sense"),
+        ('["pid", 2]', f"[1{400 * '0'}]", "values = a list"),
         ('["area"]', '"area"', "outputs = 'area'"),
         ("low = 0.1", "low = 0", "a logarithmic scale"),
         ("low = 0.1", "low = 11", "expected more than low = 11"),

@@ -538,8 +538,9 @@ class Plant:
     def equilibria(self, p: np.ndarray, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
         """Equilibria x0 (R, nx), u0 (R, nu) for R parameter vectors p (R, np), effects neutral.
 
-        Newton's method on the traced equation. A fixed value among those to be solved for replaces the solution: the plant
-        then starts beside its equilibrium. Raises InputError where the method does not converge.
+        Newton's method on the traced equation, each point to its own convergence, so that none depends on its neighbours. A fixed
+        value among those to be solved for replaces the solution: the plant then starts beside its equilibrium. Raises InputError
+        where the method does not converge.
         """
         names = (*self.state_names, *self.input_names)
         z = np.zeros((len(p), len(names)))
@@ -551,6 +552,7 @@ class Plant:
         unknown = [names.index(name) for name in self.start.solve_for]
         zero = [self.state_names.index(name) for name in self.start.zero]
         nx, eta = len(self.states), np.repeat(self.neutral[None], len(p), axis=0)
+        moving = np.ones((len(p), 1), dtype=bool)
         for _ in range(50 if unknown else 0):
             residual = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
             A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)
@@ -561,8 +563,9 @@ class Plant:
                 raise InputError(
                     f"{', '.join(self.start.solve_for)} do not determine an equilibrium", file=self.name, mend="see Start"
                 ) from None
-            z[:, unknown] -= step
-            if np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown]))) < 1e-13:
+            z[:, unknown] -= np.where(moving, step, 0.0)
+            moving &= ~(np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown])), axis=1, keepdims=True) < 1e-13)
+            if not moving.any():
                 break
         else:
             if unknown:
