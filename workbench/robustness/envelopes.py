@@ -47,7 +47,7 @@ from workbench.records import field, record
 AGE = 64  # samples after which columns of the kernel may be exchanged for a box
 WIDER = 1e-4  # by which one exchange may widen what is seen, relative
 YOUNG, RISEN = 8, 1e-10  # samples that a box of rounding is carried, and its share of what is seen from which it is no longer
-TINY = 1e-290  # above what underflow takes from a sum
+TINY, HUGE = 1e-110, 1e100  # above what underflow takes from a product with two factors up to HUGE; beyond HUGE nothing is said
 STARTS = 8  # of the adversary for each question
 SWEEPS = 30
 GUARD = 0.01  # R >= GUARD diag(mu): beyond, rounding decides
@@ -293,7 +293,8 @@ def kernel(course: Course) -> Kernel:
 
         d in {Z e} + [-1, 1] rest,    |fl(A Z) - A Z| <= unit |A| |Z|,    sums of positive terms times 1 + unit
 
-    unit being above the rounding of the longest sum. Before the box grows much, for |A| may have no decay, it becomes n columns.
+    unit being above the rounding of the longest sum, and TINY above what underflow takes. Before the box grows much, for |A| may
+    have no decay, it becomes n columns.
     """
     run, m = nominal(course), course.modes
     (N, n), c, s = course.q.shape, course.B.shape[2], len(course.signals)
@@ -311,6 +312,8 @@ def kernel(course: Course) -> Kernel:
     own = np.abs((course.lam[m] * run.z) @ rows.T) + unit * felt @ np.abs(rows).T  # (N J)
     half, state, gains = np.full((N, s), np.inf), np.full((N, n), np.inf), np.zeros((c, c))
     Z, weight = np.zeros((n, 4 * AGE * c)), np.zeros((4 * AGE * c, 1 + c))  # the bound of each column's w; 1 in its channel
+    whole = (course.A, course.B, course.C, course.E, course.F, course.lam, course.q, course.g, course.f, run.x, run.z, sizes)
+    sound = all(np.abs(values).max(initial=0.0) <= HUGE for values in whole)
     born, used, W, rest, kept = np.zeros(4 * AGE * c, dtype=int), 0, np.zeros(c), np.zeros(n), 0
     grown = False
     with np.errstate(over="ignore", invalid="ignore"):
@@ -332,11 +335,11 @@ def kernel(course: Course) -> Kernel:
             for j, (_, summed) in enumerate(channels):
                 at = slice(ends[j], ends[j + 1])
                 total, each = own[k, at] + seen[at], reach[at, 1:]
-                W[j] = up * (total.sum() if summed else total.max(initial=0.0))
+                W[j] = up * (total.sum() if summed else total.max(initial=0.0)) + TINY
                 np.maximum(gains[j], each.sum(axis=0) if summed else each.max(axis=0, initial=0.0), out=gains[j])
-            half[k] = (seen[ends[-1] :] + F[i] @ W + unseen[k]) * up
-            state[k] = size * up
-            if not (np.all(np.isfinite(half[k])) and np.all(np.isfinite(W)) and np.all(np.isfinite(state[k]))):
+            half[k], state[k] = (seen[ends[-1] :] + F[i] @ W + unseen[k]) * up + TINY, size * up + TINY
+            largest = np.concatenate([half[k], state[k], W, weight[:used, 0], np.abs(now).max(axis=1, initial=0.0)]).max()
+            if not (sound and largest <= HUGE):  # NaN too
                 half[k:], state[k:] = np.inf, np.inf
                 break
             grown = k - kept >= YOUNG and bool(np.any(risen > RISEN * seen))
@@ -379,9 +382,9 @@ def _exchanged(
     age = AGE
     while age <= k:
         old = np.flatnonzero(born[:used] <= k - age)
-        if len(old) <= 2 * n:
-            break
         columns = Z[:, old]
+        if len(old) <= 2 * n or not np.isfinite(columns).all():
+            break
         size = np.abs(columns) @ weight[old, 0]
         size[size == 0.0] = 1.0
         axes = np.linalg.svd(columns / size[:, None] * weight[old, 0], full_matrices=False)[0]
@@ -392,7 +395,7 @@ def _exchanged(
             young = np.flatnonzero(born[:used] > k - age)
             count = n + len(young)
             Z[:, n:count], weight[n:count], born[n:count] = Z[:, young], weight[young], born[young]
-            rest = (left @ weight[old, 0]) * (1.0 + unit)
+            rest = (left @ weight[old, 0]) * (1.0 + unit) + TINY
             Z[:, :n], weight[:n], born[:n] = T, box, k - age
             return count, rest
         age *= 2

@@ -357,6 +357,16 @@ def exactly(course, delta) -> list[list[Fraction]]:
     return v
 
 
+def exact_states(course, delta) -> list[list[Fraction]]:
+    """x (N n), as `exactly`, of which the watched signals are the states themselves."""
+    n = len(course.start)
+    seen = replace(
+        course, E=np.tile(np.eye(n), (len(course.E), 1, 1)), F=np.zeros((len(course.F), n, course.F.shape[2])),
+        g=np.zeros((len(course), n)), signals=tuple(f"x{i}" for i in range(n)),
+    )  # fmt: skip
+    return exactly(seen, delta)
+
+
 def left_by(course, delta) -> np.ndarray:
     """What the kernel leaves above the exact run, relative to its half width: (N s)."""
     outer = kernel(course)
@@ -383,6 +393,68 @@ def test_the_kernel_covers_what_rounding_takes(name, monkeypatch):
         assert np.all(left[2:] < 1e-9)
     monkeypatch.setattr(envelopes, "_unit", lambda _: 0.0)
     assert np.any(left_by(course, [1.0]) < 0.0)
+
+
+def test_what_an_exchange_leaves_over_is_carried_on(monkeypatch):
+    """Axes that are a thousandth too short: the box along them does not hold the columns, but with what is left over."""
+    course, true = ROUNDED["grows as fast as the kernel"](), np.linalg.svd
+    monkeypatch.setattr(envelopes, "AGE", 8)
+    monkeypatch.setattr(envelopes, "WIDER", np.inf)
+    monkeypatch.setattr(np.linalg, "svd", lambda *args, **options: (0.999 * true(*args, **options)[0], None, None))
+    left = left_by(course, [1.0])
+    assert np.all(left >= 0.0)
+    assert np.any(left > 1e-6)  # it was made
+
+
+@pytest.mark.parametrize("width", [0.0, 1.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_exact_runs_stay_within_all_that_is_said(seed, width, monkeypatch):
+    """Several states, modes, channels: signals within low and high, states within theirs, from the first sample on.
+
+    Without a width all that is left of the bounds is rounding, and exchanged columns stand along axes that are rounded too.
+    """
+    course = some(seed, n=4, p=5, c=2, s=3, N=40, M=3, lam=0.1 * width, radius=0.7, start=1e3)
+    course = within(course, 0.5) if width else course
+    monkeypatch.setattr(envelopes, "AGE", 8)
+    monkeypatch.setattr(envelopes, "WIDER", np.inf)
+    true = np.linalg.svd
+
+    def askew(*args, **options):
+        found = true(*args, **options)
+        return (found[0] + 1e-3 * np.random.default_rng(seed).standard_normal(found[0].shape), *found[1:])
+
+    monkeypatch.setattr(np.linalg, "svd", askew)
+    outer = kernel(course)
+    for delta in (np.ones(5), -np.ones(5)):
+        v, x = exactly(course, delta), exact_states(course, delta)
+        for k in range(len(course)):
+            for i in range(3):
+                assert Fraction(outer.low[k, i]) <= v[k][i] <= Fraction(outer.high[k, i])
+            for i in range(4):
+                assert abs(x[k][i] - Fraction(outer.nominal.x[k, i])) <= Fraction(outer.state[k, i])
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"lam": 1e-200, "f": 1e-200, "B": 1e200, "F": 1e200},
+        {"B": 5e-324, "A": 0.4, "f": 1e300, "E": 1e200, "lam": 1.0},
+        {"E": 1e-162, "start": 2.4e-162, "lam": 0.0},
+        {"lam": 1e-160, "f": 1e-160, "E": 1e-100},
+    ],
+)
+def test_what_underflows_is_not_forgotten(numbers):
+    """Products below the smallest float vanish: then nothing is said, or more than they are."""
+    given = {"A": 0.5, "B": 1.0, "C": 1.0, "E": 1.0, "F": 0.0, "lam": 0.1, "q": 0.0, "g": 0.0, "f": 0.0, "start": 0.0} | numbers
+    cubes, rows = ("A", "B", "C", "E", "F"), ("q", "g", "f")
+    shaped = {
+        k: np.full((1, 1, 1) if k in cubes else (5, 1) if k in rows else (1, 1), v) for k, v in given.items() if k != "start"
+    }
+    course = Course(**shaped, channel=[0], mode=np.zeros(5), start=[given["start"]], signals=("v",))
+    outer = kernel(course)
+    for k, row in enumerate(exactly(course, [1.0])):
+        if np.isfinite(outer.high[k, 0]):
+            assert Fraction(outer.low[k, 0]) <= row[0] <= Fraction(outer.high[k, 0])
 
 
 def test_what_rounds_is_carried_on(monkeypatch):
