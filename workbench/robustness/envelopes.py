@@ -392,10 +392,10 @@ def _exchanged(
         box = (np.abs(y) @ weight[old]) * (1.0 + unit)
         if np.all(np.abs(look @ T) @ box[:, 0] <= seen[:, old].sum(axis=1) + WIDER * whole):
             left = np.abs(columns - T @ y) + unit * (np.abs(columns) + np.abs(T) @ np.abs(y))
+            rest = (left @ weight[old, 0]) * (1.0 + unit) + TINY
             young = np.flatnonzero(born[:used] > k - age)
             count = n + len(young)
             Z[:, n:count], weight[n:count], born[n:count] = Z[:, young], weight[young], born[young]
-            rest = (left @ weight[old, 0]) * (1.0 + unit) + TINY
             Z[:, :n], weight[:n], born[:n] = T, box, k - age
             return count, rest
         age *= 2
