@@ -21,18 +21,19 @@ no Z is singular then, and the loop stays as stable as the first one, integral a
 [2] Boyd, Hast, Astrom, "MIMO PID tuning via iterated LMI restriction", Int. J. Robust Nonlinear Control 26 (2016) 1718-1731.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
+from workbench.robustness.semidefinite import Cone, conic, vector
 
 ROUNDS = 40  # programs after which a design that still improves is left as it is
 NEAR = 0.9  # of a bound, from where on it enters the program
 SLACK = 1e-4  # by which a solver's answer may break a bound
+ACCURACY = 1e-8  # of the solver
 
 
 class Frozen(Protocol):
@@ -244,28 +245,18 @@ class _Task:
         return K @ self.P if self.at_input else self.P @ K
 
     def _solved(self, X: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
-        import cvxpy as cp  # takes a second to import, and only this needs it
-
         # what every part does at the crossover sets the scale of its gains
         gain = np.linalg.norm(self._laws(X) @ self.P, axis=(-2, -1)).mean(axis=0)
         own = np.abs(self.parts[np.abs(np.log(gain)).argmin()])[:, None, None, None]
         size = np.maximum(np.abs(X), 0.1 * (np.abs(X) * own).max() / own)
         scale = size[self.free]
-        x = cp.Variable(len(scale) + 1)  # the gains in units of `scale`, and t
-        limits = []
-        for F, f in self._inequalities(X, chosen, scale):
-            limits += _semidefinite(cp, x, F, f)
-        problem = cp.Problem(cp.Maximize(x[-1]), limits)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is looked at, not believed
-                problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError:
-            return None
-        if x.value is None or not np.isfinite(x.value).all():
+        limits = [cone for F, f in self._inequalities(X, chosen, scale) for cone in cones(F, f)]
+        goal = np.append(np.zeros(len(scale)), 1.0)  # the gains in units of `scale`, and t
+        x = conic(goal, limits, ACCURACY)  # an inaccurate answer is looked at, not believed
+        if x is None:
             return None
         answer = np.zeros(self.shape)
-        answer[self.free] = x.value[:-1] * scale
+        answer[self.free] = x[:-1] * scale
         return answer
 
     def _inequalities(self, X: np.ndarray, chosen: np.ndarray, scale: np.ndarray):
@@ -337,18 +328,18 @@ def _scaled(F: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return F * d[:, None, :, None] * d[:, None, None, :], f * d[:, :, None] * d[:, None, :]
 
 
-def _semidefinite(cp, x, F: np.ndarray, f: np.ndarray) -> list:
-    """f + sum_v x_v F_v >= 0 for each of M Hermitian matrices of size k: a cone of the smallest kind that says it."""
-    M, nv, k, _ = F.shape
-    parts = [(np.real(F), np.real(f)), (np.imag(F), np.imag(f))]
-    (R, r), (J, j) = parts
+def cones(F: np.ndarray, f: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, Cone]]:
+    """f + sum_v x_v F_v >= 0 for each of M Hermitian matrices of size k, F (M, nv, k, k), as cones of the smallest kind."""
+    k = F.shape[-1]
+    every: Any = np.concatenate([F, f[:, None]], axis=1)
     if k == 1:
-        return [R[:, :, 0, 0] @ x + r[:, 0, 0] >= 0.0]
+        rows = every[..., 0, 0].real
+        return [(-rows[:, :-1], rows[:, -1], Cone.NONNEGATIVE)]
     if k == 2:  # (p, c; c*, d) >= 0 is |(2 c, p - d)| <= p + d
-        left = [2.0 * G[..., 0, 1] @ x + 2.0 * g[..., 0, 1] for G, g in parts]
-        left.append((R[..., 0, 0] - R[..., 1, 1]) @ x + r[..., 0, 0] - r[..., 1, 1])
-        return [cp.SOC((R[..., 0, 0] + R[..., 1, 1]) @ x + r[..., 0, 0] + r[..., 1, 1], cp.vstack(left), axis=0)]
-    if np.iscomplexobj(F):  # H >= 0 is (Re H, -Im H; Im H, Re H) >= 0
-        R, r, k = np.block([[R, -J], [J, R]]), np.block([[r, -j], [j, r]]), 2 * k
-    rows = R.transpose(0, 2, 3, 1).reshape(-1, nv) @ x + r.ravel()
-    return [cp.reshape(rows[m * k * k : (m + 1) * k * k], (k, k), order="C") >> 0 for m in range(M)]
+        p, d, c = every[..., 0, 0].real, every[..., 1, 1].real, 2.0 * every[..., 0, 1]
+        rows = np.stack([p + d, c.real, c.imag, p - d], axis=1)
+        return [(-own[:, :-1], own[:, -1], Cone.SECOND_ORDER) for own in rows]
+    if np.iscomplexobj(every):  # H >= 0 is (Re H, -Im H; Im H, Re H) >= 0
+        R, J = every.real, every.imag
+        every = np.block([[R, -J], [J, R]])
+    return [(-own[:, :-1], own[:, -1], Cone.PSD) for own in np.swapaxes(vector(every), 1, 2)]

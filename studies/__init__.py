@@ -10,6 +10,12 @@ def _web_winding() -> ModuleType:
     return web_winding
 
 
+def _winding_models() -> ModuleType:
+    from studies import winding_models
+
+    return winding_models
+
+
 def _welding_robot() -> ModuleType:
     from studies import welding_robot
 
@@ -48,6 +54,7 @@ def _robust_winding() -> ModuleType:
 
 STUDIES: dict[str, Callable[[], ModuleType]] = {
     "web-winding": _web_winding,
+    "winding-models": _winding_models,
     "welding-robot": _welding_robot,
     "emps": _emps,
     "winding-records": _winding_records,

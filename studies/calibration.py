@@ -21,8 +21,9 @@ from workbench.provenance import provenance
 from workbench.readers import read_all
 from workbench.records import record
 from workbench.report import figures
+from workbench.report.blocks import Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import ParameterEstimate, Trace
-from workbench.report.page import Picture, Provenance, Report, Section, Table, Text, write_report
+from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 

@@ -29,7 +29,8 @@ from workbench.provenance import provenance
 from workbench.readers import read
 from workbench.records import field, record
 from workbench.report import figures
-from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
+from workbench.report.blocks import Block, Provenance, Report, Section, Table
+from workbench.report.page import write_report
 from workbench.robustness.envelopes import Course, kernel
 from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, same, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved

@@ -96,6 +96,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--controller", metavar="FILE", help="close the loop with a controller written by design")
     sub.add_argument("--setpoint", action="append", default=[], metavar="Y=V,..", help="with --controller: hold these outputs")
     sub.add_argument("--duration", type=_seconds, metavar="S", help="with --setpoint: seconds (default 60)")
+    sub.add_argument("--limits", metavar="FILE", help="with --controller: follow the set-points of [run] in a file of limits")
     sub.add_argument("--replay", metavar="FILE", help="run a stored counterexample again: plant, controller and all are in it")
 
     sub = command(
@@ -265,7 +266,8 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "study",
         metavar="STUDY",
-        help="web-winding, welding-robot, emps, winding-records, hidden-effects, controller-comparison, robust-winding",
+        help="web-winding (the whole chain), winding-models, "
+        "welding-robot, emps, winding-records, hidden-effects, controller-comparison, robust-winding",
     )
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
@@ -276,7 +278,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="M",
         help="hidden-effects: cases (default 600); controller-comparison: seeds (20)",
     )
-    sub.add_argument("--jobs", type=_positive, metavar="N", help="both of these: processes side by side (default 1)")
+    sub.add_argument("--jobs", type=_positive, metavar="N", help="these and web-winding: processes side by side (web-winding: 2)")
+    sub.add_argument("--fresh", action="store_true", default=None, help="web-winding: compute every stage anew")
     return top
 
 

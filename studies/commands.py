@@ -5,6 +5,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TextIO
@@ -84,7 +85,8 @@ def simulate(options: Namespace) -> int:
             raise InputError(f"experiment {name} is named twice", mend="name it once, or run again with another --seed")
     _check_setpoint(options)
     other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
-    if not chosen and not options.inputs_from and not options.setpoint:
+    closed = options.setpoint or options.limits
+    if not chosen and not options.inputs_from and not closed:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}{other}")
@@ -94,12 +96,12 @@ def simulate(options: Namespace) -> int:
         raise InputError("--controller and --inputs-from exclude each other", mend=mend)
     if chosen and machine not in EXPERIMENTS:
         raise InputError(f"plant {plant.name!r} has no experiment plan", mend=f"give {other}")
-    held: Any = _held(options, found, own_law, effects, parameters, start) if options.setpoint else None
+    held: Any = _held(options, found, own_law, effects, parameters, start) if closed else None
     folder = run_folder(options.out, "simulate")
 
     summary: list[dict[str, Any]] = []
     jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
-    jobs += [("setpoint", "setpoint")] if options.setpoint else []
+    jobs += [("closed loop", held.experiment.name)] if closed else []
     for kind, name in jobs:
         if kind == "plan":
             todo = plan(machine, name)
@@ -108,7 +110,7 @@ def simulate(options: Namespace) -> int:
             applied = todo.effects_with(effects)
             law = own_law or todo.controller
             done = run_plant(plant, law, scenario, parameters=parameters, effects=applied, bumpless=own_law is not None)
-        elif kind == "setpoint":
+        elif kind == "closed loop":
             applied = effects
             done = held
         else:
@@ -136,11 +138,11 @@ def simulate(options: Namespace) -> int:
         summary.append(entry)
     configuration = {
         "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
-        "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration,
+        "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration, "limits": options.limits,
         "effects_of_plant": plant.effects,
         "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
     }  # fmt: skip
-    read_files = [*options.inputs_from, *found.files, *([options.controller] if options.controller else [])]
+    read_files = [*options.inputs_from, *found.files, *filter(None, [options.controller, options.limits])]
     result = {"runs": summary, "provenance": provenance(configuration, read_files, options.seed)}
     write_json(folder / "simulate.json", result)
     if options.json:
@@ -149,34 +151,48 @@ def simulate(options: Namespace) -> int:
 
 
 def _check_setpoint(options: Namespace) -> None:
-    """Refuse what does not go with --setpoint."""
+    """Refuse what does not go with --setpoint and --limits."""
     if options.duration is not None and not options.setpoint:
         raise InputError("--duration is for --setpoint", mend="an experiment has its own length, a record too")
-    if not options.setpoint:
+    if not (options.setpoint or options.limits):
         return
+    own = "--setpoint" if options.setpoint else "--limits"
     if not options.controller:
-        raise InputError("--setpoint is for a controller to hold", mend="give --controller FILE")
-    if options.experiment or options.inputs_from:
-        raise InputError("--setpoint goes with neither --experiment nor --inputs-from", mend="give one of the three")
+        raise InputError(f"{own} is for a controller to follow", mend="give --controller FILE")
+    if options.experiment or options.inputs_from or (options.setpoint and options.limits):
+        raise InputError(f"{own} goes with no other run", mend="give one of --experiment, --inputs-from, --setpoint and --limits")
 
 
 def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, parameters, start) -> Any:
-    """The controller holding its set-points: on a plant, or on an identified model once along its whole schedule."""
+    """The controller holding its set-points, on a plant or on an identified model once along its whole schedule; or following
+    those of a file of limits, on a plant.
+    """
     from studies.rehearsal import check_setpoint, hold
     from workbench.lpv import load_model
+    from workbench.robustness.limits import load_limits
     from workbench.simulate import Scenario
     from workbench.simulate import simulate as run_plant
 
-    setpoint = parse_numbers(part for text in options.setpoint for part in names(text))
-    seed, samples = None if options.quiet else options.seed, max(2, round((options.duration or DURATION) / found.plant.dt))
-    if found.model is not None:
-        if effects or parameters or start:
-            raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
-        record = hold(load_model(found.model), law, setpoint, samples, seed)
-        return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
-    check_setpoint(law, setpoint)
-    references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=True)}
-    scenario = Scenario("setpoint", references, seed, start)
+    seed = None if options.quiet else options.seed
+    if options.limits:
+        run = load_limits(options.limits).run
+        if run is None:
+            raise InputError("[run] is missing", file=options.limits, mend="give its duration and set-points")
+        if found.model is not None:
+            raise InputError("--limits runs on a plant", mend="on a model: --setpoint Y=V,..")
+        scenario = run.scenario(found.plant, law)
+        scenario = replace(scenario, seed=seed, start={**scenario.start, **start})
+    else:
+        setpoint = parse_numbers(part for text in options.setpoint for part in names(text))
+        samples = max(2, round((options.duration or DURATION) / found.plant.dt))
+        if found.model is not None:
+            if effects or parameters or start:
+                raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
+            record = hold(load_model(found.model), law, setpoint, samples, seed)
+            return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
+        check_setpoint(law, setpoint)
+        references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=True)}
+        scenario = Scenario("setpoint", references, seed, start)
     return run_plant(found.plant, law, scenario, parameters=parameters, effects=effects, bumpless=True)
 
 
@@ -547,9 +563,10 @@ def study(options: Namespace) -> int:
     from studies import STUDIES
 
     module = STUDIES[check_known("study", options.study, STUDIES)]()
-    own = {name: value for name in ("cases", "jobs") if (value := getattr(options, name)) is not None}
-    if own and options.study not in ("hidden-effects", "controller-comparison"):
-        raise InputError(f"--{next(iter(own))} does not belong to {options.study}", mend="leave it out, or study hidden-effects")
+    own = {name: value for name in ("cases", "jobs", "fresh") if (value := getattr(options, name)) is not None}
+    if foreign := [name for name in own if name not in signature(module.main).parameters]:
+        takers = [name for name, load in STUDIES.items() if foreign[0] in signature(load().main).parameters]
+        raise InputError(f"--{foreign[0]} does not belong to {options.study}", mend=f"leave it out, or study {', '.join(takers)}")
     folder = run_folder(options.out, options.study)
     module.main(
         quick=options.quick,

@@ -12,7 +12,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.metrics import Score
 from workbench.report import figures
-from workbench.report.page import Picture, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import Picture, Provenance, Report, Section, Table, Text
 from workbench.residuals import residual_test
 
 

@@ -32,7 +32,8 @@ from workbench.metrics import tracking
 from workbench.provenance import provenance, versions
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
+from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
+from workbench.report.page import write_report
 from workbench.simulate import LeftRangeError, simulate
 
 Say = Callable[[str], None]

@@ -25,7 +25,8 @@ from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
 from workbench.readers import read
 from workbench.report import figures
-from workbench.report.page import Block, Report, Section, Table, write_report
+from workbench.report.blocks import Block, Report, Section, Table
+from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}  # options of the commands, and what none given means

@@ -23,8 +23,9 @@ from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.readers import write_csv
 from workbench.report import figures
+from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import ParameterEstimate, Trace
-from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
+from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 

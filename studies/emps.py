@@ -43,8 +43,9 @@ from workbench.provenance import provenance
 from workbench.readers import read
 from workbench.records import field, record
 from workbench.report import figures
+from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import Trace
-from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
+from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 FreeRuns = Mapping[str, Mapping[str, float]]  # errors by law and record

@@ -18,8 +18,8 @@ from workbench.intervals.semantics import SEMANTICS, InclusionAll
 from workbench.intervals.splitting import MaximumRadius, MeanRadius
 from workbench.metrics import Horizon, horizon_name
 from workbench.report import figures
+from workbench.report.blocks import Picture, Section, Table, Text
 from workbench.report.figures import Trace
-from workbench.report.page import Picture, Section, Table, Text
 
 Method = IntervalRegression | OutputErrorRegression
 SIMULATION = "simulation"

@@ -48,8 +48,9 @@ from workbench.files import read_json, write_json
 from workbench.provenance import provenance, versions
 from workbench.records import record
 from workbench.report import figures
+from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import Rates
-from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
+from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 Limits = Mapping[str, Mapping[str, float]]  # by machine and "effect@place"

@@ -34,7 +34,8 @@ from workbench.physics.controller import Controller
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.page import Block, Provenance, Report, Section, Table, write_report
+from workbench.report.blocks import Block, Provenance, Report, Section, Table
+from workbench.report.page import write_report
 from workbench.robustness.envelopes import Course, nominal, replay, worst
 from workbench.robustness.falsify import at_random, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre

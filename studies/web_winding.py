@@ -1,14 +1,14 @@
-"""How well do LTI, ILM and SSM models describe the web winding machine over the whole reel, and what does each cost?
+"""The main job: from records of the web winding machine to controllers that are checked on what the records leave open.
 
-The question of [1] section 1.4, answered on simulated records of the reference machine or on a user's own: identify on PRBS1
-and RBS, simulate all five experiments, compare FIT (1.17) and RM (1.18) with the printed tables.
+records -> LPV models -> diagnosis of the simulation -> scheduled PID and MPC -> verdicts -> one page
 
-[1] "Experimental Modelling of a Web Winding Machine: LPV Approaches".
+Every stage is a command of the workbench that a user could type in the run's folder; the page names it. The records are
+simulated, with one effect hidden in them that no later stage is told of, or they are the user's own.
 """
 
-import time
-from collections.abc import Callable
-from dataclasses import replace
+import os
+import shutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,94 +16,95 @@ import numpy as np
 
 from plants import WEB_WINDING
 from studies.arguments import record_files, split_estimation
-from studies.comparison import residual_table, traces
-from studies.envelopes import covered_verdict
-from studies.experiments import plan
-from studies.results import Result, scores_file
-from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
-from workbench.advice import Advice, advice
-from workbench.data import Channel, Dataset, Experiment
-from workbench.files import write_json
-from workbench.identify.ilm import ILM
-from workbench.identify.lti import LTI
-from workbench.identify.ssm import SSM, Candidate, SSMSweep
-from workbench.identify.subspace import PBSID
-from workbench.lpv import LPVModel
-from workbench.metrics import Score, fit, horizon_name, score
+from studies.stages import Done, Stage, run_stages
+from workbench.data import Experiment
+from workbench.errors import InputError
+from workbench.files import read_json, write_json, write_text
+from workbench.metrics import tracking
 from workbench.provenance import provenance
-from workbench.readers import check_units, read_all, write_csv
+from workbench.readers import check_units, read, read_all
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.page import Block, Picture, Provenance, Report, Section, Table, Text, write_report
-from workbench.simulate import replay, simulate
+from workbench.report.archive import read_report
+from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
+from workbench.report.page import write_report
+from workbench.robustness.limits import load_limits
 
 Say = Callable[[str], None]
 
-EXPERIMENTS = ("prbs1", "prbs2", "rbs", "sine", "rgs")
+EXPERIMENTS, QUICK = ("prbs1", "rbs", "prbs2", "sine", "rgs"), ("prbs1", "rbs", "sine")
 ESTIMATION = ("prbs1", "rbs")
-INPUTS, OUTPUT, SCHEDULE = ("V1", "V2"), "w3", "r2"
-HORIZONS = ("free-run", "one-step", 25)
-BANDS = 5  # of the radius, in which errors are told apart
+OUTPUTS, SCHEDULE = ("w3", "theta"), "r2"
+#: What may be hidden in simulated records: effects that a winding machine comes to have, with the sizes that are drawn from.
+HIDDEN: dict[str, tuple[str, float, float]] = {
+    "input-delay@V1": ("time", 0.02, 0.05),
+    "sensor-lag@theta": ("time", 0.01, 0.03),
+    "sensor-lag@w3": ("time", 0.01, 0.03),
+    "eccentricity@unwind": ("cosine", 4e-5, 1.5e-4),
+    "imbalance@rewind": ("cosine", 6e-5, 2e-4),
+    "heating@V1": ("fall", 0.05, 0.15),
+}
+LIMITS = """\
+# what the loop shall keep; a file of this name beside your records replaces it
+[run]
+duration = 30.0
 
-# [1] Tables 1.1 and 1.2 as printed. The LTI row of Table 1.2 repeats Table 1.1, and the ILM row of Table 1.1 equals its
-# LTI row: both look like slips of the print and are quoted as they stand.
-PRINTED_NOTE = (
-    "Beside them the tables of [1], quoted as printed; they describe another machine, and two of their entries look like slips: "
-    "the RM of LTI repeats its FIT, and the FIT of ILM equals that of LTI. "
-    '[1] "Experimental Modelling of a Web Winding Machine: LPV Approaches".'
-)
-PRINTED_FIT = {"SSM": (95, 93, 92, 90, 90), "ILM": (86, 85, 89, 83, 90), "LTI": (86, 85, 89, 83, 90)}
-PRINTED_RM = {"SSM": (5, 5, 6, 8, 6), "ILM": (15, 15, 18, 17, 8), "LTI": (86, 85, 89, 83, 90)}
+[run.setpoints]
+w3 = [[0.0, {w3:g}], [8.0, {faster:g}]]
+theta = [[0.0, {theta:g}], [16.0, {tighter:g}]]
+
+[limits.theta]
+low = {slack:g}
+high = {tight:g}
+begin = 2.0
+
+[limits.w3]
+band = 3.0
+settling = 5.0
+
+[limits.V1]
+low = -2.0
+high = 3.0
+
+[limits.V2]
+low = 0.0
+high = 3.0
+
+[loop]
+stable = true
+margin = 1.0
+"""
+COMMANDS = ("--low", "V1=-2,V2=0", "--high", "V1=3,V2=3", "--rate", "V1=50,V2=50")
+KEEP = 20.0  # deg on either side of the set-point, within which the MPC keeps the angle where it can
+LAWS = {"pid": "scheduled PID", "mpc": "LPV-MPC"}
+SHOWN = {  # sections of the pages of stages that the page of the chain shows; the rest is one click away
+    "models": ("Scores", "Measured and simulated"),
+    "diagnosis": ("What is missing", "Held-out records", "What is left", "Parameters", "What to measure next"),
+    "pid": ("Margins", "Design"),
+    "check-pid": ("Verdicts", "On the identified model", "On the simulated plant"),
+    "check-mpc": ("Verdicts", "On the simulated plant"),
+}
 
 
 @record
-class Records:
-    """Estimation and held-out records; `fresh` are the same experiments drawn again, none of them used before."""
+class Hidden:
+    """What was hidden in simulated records: an effect, its parameter and size."""
 
-    estimation: Dataset
-    held_out: Dataset
-    fresh: Dataset | None
-    files: tuple[Path, ...] = ()
+    effect: str
+    parameter: str
+    size: float
 
     @property
-    def all(self) -> tuple[Experiment, ...]:
-        """Every record in the order of the paper's tables, others behind."""
-        known = {e.name: e for e in (*self.estimation, *self.held_out)}
-        return tuple(sorted(known.values(), key=lambda e: EXPERIMENTS.index(e.name) if e.name in EXPERIMENTS else 99))
-
-    def split(self, name: str) -> str:
-        return "estimation" if any(e.name == name for e in self.estimation) else "held-out"
+    def words(self) -> tuple[str, str]:
+        return "--effect", f"{self.effect}:{self.parameter}={self.size:.6g}"
 
 
 @record
-class Identified:
-    """The three models, and what their choice rests on."""
+class Split:
+    """Record files by what they are for, as named in the run's folder."""
 
-    models: dict[str, LPVModel]
-    seconds: dict[str, float]
-    singular_values: np.ndarray
-    sweep: SSMSweep
-    chosen: Candidate
-
-
-@record
-class Judged:
-    """What the answer rests on, computed once: scores, advice on the data, and errors by radius on the held-out records.
-
-    edges (BANDS + 1) of r2 [m]; errors: RMSE by band and model; machine: FIT of the true machine by record, None where nobody
-    knows it.
-    """
-
-    scores: tuple[Score, ...]
-    advice: tuple[Advice, ...]
-    edges: np.ndarray
-    errors: dict[str, list[float]]
-    machine: dict[str, float] | None
-
-    @property
-    def warnings(self) -> list[Advice]:
-        """Warnings about the data, the one that every controlled loop is a closed one apart."""
-        return [a for a in self.advice if a.severity == "warning" and a.kind != "feedback"]
+    estimation: tuple[str, ...]
+    held_out: tuple[str, ...]
 
 
 def main(
@@ -115,445 +116,268 @@ def main(
     json: str | None = None,
     say: Say = print,
     progress: Say = lambda _: None,
+    jobs: int | None = None,
+    fresh: bool = False,
 ) -> Path:
-    """Run the study and write records, models, scores and the report into `folder`; returns the report's path."""
-    records = _read(Path(data)) if data else _simulate(seed, folder, progress)
-    identified = _identify(records, quick, progress)
-    progress("scoring")
-    judged = _judge(identified, records, simulated=data is None)
-    envelopes = identify_envelopes(records.estimation, records.held_out, identified.models, OUTPUT, progress, quick=quick)
-    for name, model in (identified.models | envelopes.models).items():
-        model.save(folder / f"{_file(name)}.json")
-    configuration = {
-        "study": "web-winding",
-        "quick": quick,
-        "data": data,
-        "estimation": [e.name for e in records.estimation],
-    }
-    source = provenance(configuration, records.files, None if data else seed)
-    results = [
-        Result(model, f"{_file(name)}.json", tuple(s for s in judged.scores if s.model == model.name))
-        for name, model in identified.models.items()
-    ]
-    results += [
-        Result(model, f"{_file(name)}.json", tuple(c.nominal for c in envelopes.of(name)), envelopes.of(name))
-        for name, model in envelopes.models.items()
-    ]
-    content = scores_file(results, source)
-    write_json(folder / "scores.json", content)
-    if json:
-        write_json(json, content)
-    progress("report")
-    report = _report(records, identified, judged, envelopes, source, quick)
-    path = write_report(report, folder)
-    _say_tables(records, judged, say)
-    for warning in judged.warnings:
-        say(f"warning: {warning.record}, {warning.channel}: {warning.sentence}")
-    say(f"\n{report.verdict}\n\nreport: {path}")
-    return path
-
-
-def _file(name: str) -> str:
-    """A file's stem from a model's name."""
-    return name.lower().replace(", ", "-").replace(" ", "-")
-
-
-# ---- records --------------------------------------------------------------------------------------------------------
-
-
-def _simulate(seed: int, folder: Path, progress: Say) -> Records:
-    """The five experiments, and the same five with another seed; all written as CSV."""
-    both = []
-    for number, sub in ((seed, "records"), (seed + 1, "records_fresh")):
-        drawn = []
-        for name in EXPERIMENTS:
-            progress(f"simulating {name}, seed {number}")
-            todo = plan(WEB_WINDING.name, name)
-            run = simulate(WEB_WINDING, todo.controller, todo.scenario(number))
-            write_csv(run.experiment, folder / sub / f"{name}.csv")
-            drawn.append(run.experiment.with_roles(inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,)))
-        both.append(tuple(drawn))
-    estimation, held_out = Dataset(both[0]).split_records(ESTIMATION)
-    return Records(estimation, held_out, Dataset(both[1]), tuple(folder / "records" / f"{name}.csv" for name in EXPERIMENTS))
-
-
-def _read(folder: Path) -> Records:
-    """A user's records: PRBS1 and RBS estimate where they are there, otherwise the first half by name."""
-    files = record_files(folder)
-    dataset = read_all(files, inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,))
-    for experiment in dataset:
-        check_units(experiment, {c.name: c.unit for c in (*WEB_WINDING.inputs, *WEB_WINDING.outputs)})
-    chosen, rest = split_estimation(dataset, ESTIMATION)
-    return Records(chosen, rest, None, tuple(files))
-
-
-# ---- identification ---------------------------------------------------------------------------------------------------
-
-
-def _identify(records: Records, quick: bool, progress: Say) -> Identified:
-    models, seconds = {}, {}
-
-    def timed(name: str, work: Callable[[], Any]) -> Any:
-        progress(f"{name}: identifying on {', '.join(e.name for e in records.estimation)}")
-        begin = time.perf_counter()
-        result = work()
-        seconds[name] = time.perf_counter() - begin
-        return result
-
-    ssm = SSM(orders=(3, 5)) if quick else SSM()
-    models["LTI"] = timed("LTI", lambda: LTI().fit(records.estimation))
-    models["ILM"] = timed("ILM", lambda: (ILM(models=3) if quick else ILM()).fit(records.estimation))
-    sweep = timed("SSM", lambda: ssm.sweep(records.estimation, records.held_out))
-    best = sweep.best  # on the estimation records: the held-out ones are only shown
-    factor = float((best.mu / best.smallest)[0])
-    models["SSM"] = replace(ssm, order=best.order, mu_factor=factor).fit(records.estimation)
-    return Identified(models, seconds, PBSID().fit(records.estimation).singular_values, sweep, best)
-
-
-def _judge(identified: Identified, records: Records, *, simulated: bool) -> Judged:
-    edges = np.linspace(*_span(records.held_out), BANDS + 1)
-    return Judged(
-        _score(identified, records),
-        advice(Dataset(records.all)),
-        edges,
-        {name: _band_errors(model, records.held_out, edges) for name, model in identified.models.items()},
-        {e.name: _machine_fit(e) for e in records.all} if simulated else None,
-    )
-
-
-def _score(identified: Identified, records: Records) -> tuple[Score, ...]:
-    scores: tuple[Score, ...] = ()
-    for model in identified.models.values():
-        scores += score(model, records.estimation, "estimation", HORIZONS)
-        scores += score(model, records.held_out, "held-out", HORIZONS)
-        if records.fresh:
-            again = Dataset(tuple(replace(e, name=f"{e.name} again") for e in records.fresh))
-            scores += score(model, again, "held-out", ("free-run",))
-    return scores
-
-
-# ---- the answer -----------------------------------------------------------------------------------------------------
-
-
-def _value(scores: tuple[Score, ...], model: str, name: str, horizon, measure: str) -> float:
-    return next(getattr(s, measure) for s in scores if (s.model, s.record, s.horizon) == (model, name, horizon))
-
-
-def _score_rows(records: Records, scores: tuple[Score, ...], horizon, measure: str) -> list[tuple]:
-    models = list(dict.fromkeys(s.model for s in scores))
-    return [
-        (e.name, records.split(e.name), *(_value(scores, model, e.name, horizon, measure) for model in models))
-        for e in records.all
-    ]
-
-
-def _say_tables(records: Records, judged: Judged, say: Say) -> None:
-    """Tables 1.1 and 1.2 of [1]; on the reference machine with the printed numbers beside ours."""
-    simulated = judged.machine is not None
-    for title, measure, printed in (("1.1  FIT", "FIT", PRINTED_FIT), ("1.2  RM", "RM", PRINTED_RM)):
-        say(f"\nTable {title} [%], {OUTPUT}, free run" + "; in brackets as printed in [1] for another machine" * simulated)
-        say(f"{'':6}" + "".join(f"{e.name:>15}" for e in records.all))
-        for model in printed:
-            cells = []
-            for e in records.all:
-                quoted = f" ({printed[model][EXPERIMENTS.index(e.name)]:3d})" if simulated else ""
-                cells.append(f"{_value(judged.scores, model, e.name, 'free-run', measure):{15 - len(quoted)}.1f}{quoted}")
-            say(f"{model:6}" + "".join(cells))
-        say(f"{'':6}" + "".join(f"{records.split(e.name):>15}" for e in records.all))
-    if simulated:
-        say(f"\n{PRINTED_NOTE}")
-
-
-def _verdict(identified: Identified, judged: Judged, quick: bool) -> str:
-    """What a reader needs first: which model, how good on unseen records, where it is weak, and what to doubt."""
-    held = [s for s in judged.scores if s.split == "held-out" and s.horizon == "free-run"]
-    ranges = {}
-    for model in identified.models:
-        own = [s.FIT for s in held if s.model == model]
-        ranges[model] = (min(own), max(own))
-    count = len(held) // len(ranges)
-    best = max(ranges, key=lambda model: ranges[model][0])
-    said = "; ".join(f"{model} {low:.1f}" + f" to {high:.1f}" * (count > 1) + " %" for model, (low, high) in ranges.items())
-    text = (
-        f"On {count} record{'s' * (count > 1)} that no model has seen, {OUTPUT} simulated from the measured voltages (free run) "
-        f"reaches FIT: {said}. "
-    )
-    if ranges[best][0] < 50:
-        text += "No model describes these records: look at the warnings under Data before anything else. "
-    else:
-        text += f"{best} describes the machine best over the whole reel"
-        chosen = identified.chosen
-        text += f"; it keeps {chosen.support} coefficients at order {chosen.order}. " if best == "SSM" else ". "
-        worst = float(np.nanmax(judged.errors[best]) / np.nanmin(judged.errors[best]))
-        text += f"Its error is {worst:.1f} times larger in the worst part of the reel than in the best. "
-    if judged.machine is not None:
-        ceilings = judged.machine.values()
-        text += (
-            f"The true machine itself, driven by the logged voltages, reaches {min(ceilings):.1f} to {max(ceilings):.1f} %: "
-            "the rest is sensor noise and disturbances that nobody logged. "
+    """Run the chain into `folder`, and write its page; returns the page's path. fresh: compute everything anew."""
+    jobs = jobs or min(2, os.cpu_count() or 1)
+    hidden = None if data else drawn(seed)
+    if hidden:
+        names = QUICK if quick else EXPERIMENTS
+        words = ("simulate", WEB_WINDING.name, "--experiment", *names, "--seed", str(seed), *hidden.words)
+        made = run_stages([Stage("records", words)], folder, cached=not fresh, progress=progress)
+        split = Split(
+            tuple(f"records/{n}.csv" for n in names if n in ESTIMATION),
+            tuple(f"records/{n}.csv" for n in names if n not in ESTIMATION),
         )
-    unstable = [name for name, model in identified.models.items() if not model.stability().stable]
-    if unstable:
-        text += f"Unstable over its own schedule range: {', '.join(unstable)}. "
-    warned = sorted({a.record for a in judged.warnings})
-    if warned:
-        text += f"The data carry warnings ({', '.join(warned)}): see Data. "
-    if quick:
-        text += "This was a quick look with few candidates. "
-    return text.strip()
+    else:
+        assert data is not None
+        made, split = {}, _taken(Path(data), folder)
+    setpoint = _limits(folder, data, split)
+    stages = chain(split, setpoint, quick)
+    done = made | run_stages(stages, folder, jobs=jobs, cached=not fresh, progress=progress)
+    progress("report")
+    configuration = {"study": "web-winding", "quick": quick, "data": data, "stages": [d.stage.command for d in done.values()]}
+    files = [folder / name for name in (*split.estimation, *split.held_out, "limits.toml")]
+    source = provenance(configuration, files, None if data else seed)
+    said = verdict(folder, done, hidden)
+    content = {
+        "verdict": said,
+        "hidden": hidden and {"effect": hidden.effect, hidden.parameter: hidden.size},
+        "stages": {name: {"command": d.stage.command, "code": d.code, "seconds": d.seconds} for name, d in done.items()},
+        "provenance": source,
+    }
+    for path in (folder / "web-winding.json", json):
+        if path:
+            write_json(path, content)
+    page = write_report(_report(folder, done, said, hidden, source, quick), folder)
+    say(f"{said}\n\nreport: {page}")
+    return page
 
 
-def _envelope_verdict(envelopes: Envelopes) -> str:
-    """What interval models add: guarantees on the records, their width, and what one box for each interval of the radius buys."""
-    return " ".join(covered_verdict(envelopes.of(name)) for name in envelopes.models)
+def drawn(seed: int) -> Hidden:
+    """What is hidden in the records of a seed."""
+    random = np.random.default_rng([seed, 7])
+    effect = list(HIDDEN)[random.integers(len(HIDDEN))]
+    parameter, low, high = HIDDEN[effect]
+    return Hidden(effect, parameter, float(np.exp(random.uniform(np.log(low), np.log(high)))))
 
 
-def _machine_fit(e: Experiment) -> float:
-    """FIT of the noise-free true machine, driven by a record's logged inputs: what no model can beat by more than luck."""
-    return fit(e[OUTPUT], replay(WEB_WINDING, e).experiment[OUTPUT])
+def _taken(data: Path, folder: Path) -> Split:
+    """Copies of a user's records in the run's folder, checked. PRBS1 and RBS estimate if they are there, else the first half."""
+    files = record_files(data)
+    dataset = read_all(files)
+    units = {c.name: c.unit for c in (*WEB_WINDING.inputs, *WEB_WINDING.outputs)}
+    for e in dataset:
+        check_units(e, units)
+        if missing := [name for name in ("V1", "V2", *OUTPUTS, SCHEDULE) if name not in e.names]:
+            raise InputError(
+                f"no channel {', '.join(missing)}", file=e.name,
+                mend="the chain needs V1, V2, w3, theta and r2; workbench study winding-models does without theta",
+            )  # fmt: skip
+    estimation, rest = split_estimation(dataset, ESTIMATION)
+    room = folder / "records"
+    if room.exists() and any(path.name not in {f.name for f in files} for path in room.iterdir()):
+        raise InputError("holds other records", file=room, mend="choose another --out folder")
+    room.mkdir(parents=True, exist_ok=True)
+    for path in files:
+        if path.resolve() != (room / path.name).resolve():
+            shutil.copyfile(path, room / path.name)
+    named = dict(zip(dataset.names, (f"records/{path.name}" for path in files), strict=True))
+    return Split(tuple(named[e.name] for e in estimation), tuple(named[e.name] for e in rest))
 
 
-def _span(dataset: Dataset) -> tuple[float, float]:
-    """Smallest and largest radius of the records."""
-    radius = np.concatenate([e[SCHEDULE] for e in dataset])
-    return float(radius.min()), float(radius.max())
+def _limits(folder: Path, data: str | None, split: Split) -> dict[str, float]:
+    """Write limits.toml, the user's own where there is one; returns the set-points that its run begins with."""
+    own = Path(data) / "limits.toml" if data else None
+    if own and own.is_file():
+        write_text(folder / "limits.toml", own.read_text(encoding="utf-8"))
+    else:
+        w3, theta = 100.0, 0.0
+        if data:
+            first = [read(folder / path) for path in split.estimation]
+            w3, theta = (float(f"{np.mean(np.concatenate([e[name] for e in first])):.2g}") for name in OUTPUTS)
+        numbers = {"w3": w3, "faster": 1.05 * w3, "theta": theta, "tighter": theta + 5.0}
+        write_text(folder / "limits.toml", LIMITS.format(**numbers, slack=theta - 40.0, tight=theta + 40.0))
+    run = load_limits(folder / "limits.toml").run
+    if run is None or (missing := [name for name in OUTPUTS if name not in run.setpoints]):
+        named = ", ".join(OUTPUTS if run is None else missing)
+        raise InputError(f"no set-point for {named}", file=folder / "limits.toml", mend="give [run.setpoints]")
+    return {name: run.setpoints[name][0][1] for name in OUTPUTS}
 
 
-def _band_errors(model: LPVModel, dataset: Dataset, edges: np.ndarray) -> list[float]:
-    """RMSE of the free run of w3 in bands of the radius, over all records of the set; NaN in a band without samples."""
-    error = np.concatenate([(e[OUTPUT] - model.simulate(e)[:, 0])[model.warmup :] for e in dataset])
-    radius = np.concatenate([e[SCHEDULE][model.warmup :] for e in dataset])
-    bands = range(len(edges) - 1)
-    band = np.clip(np.digitize(radius, edges) - 1, bands[0], bands[-1])
-    return [float(np.sqrt(np.mean(error[band == b] ** 2))) if np.any(band == b) else np.nan for b in bands]
+def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Stage, ...]:
+    """The commands from records to verdicts; setpoint: of each output, where the controllers are designed to stand."""
+    own, held = split.estimation, split.held_out
+    wanted = ",".join(f"{name}={value:g}" for name, value in setpoint.items())
+    kept = ",".join(f"theta={setpoint['theta'] + side * KEEP:g}" for side in (-1.0, 1.0)).replace(",theta=", ":")
+    model, pid, mpc, limits = "models/ssm.json", "pid/scheduled-pid.json", "mpc/mpc.json", "limits.toml"
+    machine = ("--plant", "diagnosis/extended.json", "--fitted", "diagnosis/diagnosis.json")
+    kinds = ("--model", "ssm", "--order", "5") if quick else ("--model", "all")
+    tried = ("--nodes", "2", "--runs", "20") if quick else ()
+
+    def loop(law: str) -> tuple[str, ...]:
+        return ("simulate", "diagnosis/extended.json", "--controller", law, "--limits", limits, "--seed", "1")
+
+    return (
+        Stage("diagnosis", ("diagnose", *own, "--plant", WEB_WINDING.name, "--holdout", *held)),
+        Stage(
+            "models",
+            ("identify", *own, "--outputs", "w3,theta", "--inputs", "V1,V2", "--schedule", SCHEDULE, *kinds,
+             "--no-feedthrough", "--validate", *held),
+        ),
+        Stage(
+            "pid",
+            ("design", "scheduled-pid", "--model", model, "--setpoint", wanted, *COMMANDS, *(("--knots", "2") if quick else ())),
+        ),
+        Stage("mpc", ("design", "mpc", "--model", model, *COMMANDS, "--keep", kept, "--fallback", pid)),
+        Stage("loop-pid", loop(pid)),
+        Stage("loop-mpc", loop(mpc)),
+        Stage(
+            "check-pid",
+            ("check", "--controller", pid, "--limits", limits, "--model", model, "--records", *own, *machine, *tried),
+        ),
+        Stage("check-mpc", ("check", "--controller", mpc, "--limits", limits, *machine, *(("--runs", "6") if quick else ()))),
+    )  # fmt: skip
 
 
-def _band_table(judged: Judged) -> Table:
-    bands = zip(1e3 * judged.edges[:-1], 1e3 * judged.edges[1:], *judged.errors.values(), strict=True)
-    return Table(
-        f"Where the models are weak: RMSE of {OUTPUT} [rad/s] by radius",
-        ("radius r2 [mm]", *judged.errors),
-        tuple((f"{low:.1f} to {high:.1f}", *errors) for low, high, *errors in bands),
-        caption="Free run on the held-out records; the best of each row in bold.",
-        best=min,
-        digits=3,
+# ---- the answer -----------------------------------------------------------------------------------------------------------
+
+
+def verdict(folder: Path, done: Mapping[str, Done], hidden: Hidden | None) -> str:
+    """What a reader needs first: what the simulation lacks, which model, which controller, and whether it is safe."""
+    found = read_json(folder / "diagnosis" / "diagnosis.json")
+    errors = {LAWS[law]: _tracked(read(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
+    said = [_lacks_said(found), _models_said(read_json(folder / "models" / "scores.json")), _loops_said(errors)]
+    said += [f"{name}: {_checked_said(read_json(folder / f'check-{law}' / 'check.json'))}" for law, name in LAWS.items()]
+    if not hidden:
+        return " ".join(said)
+    named = [f"{c['effect']}@{c['at']}" for c in found["causes"]]
+    held = [key for c in found["causes"] for key in (f"{c['effect']}@{c['at']}", *c["ties"])]
+    right = "what the diagnosis names" if named == [hidden.effect] else "among what the diagnosis cannot tell apart"
+    right = right if hidden.effect in held else "not what the diagnosis says"
+    revealed = f"The records are simulated. Hidden in them was {hidden.effect}, {hidden.parameter} {hidden.size:.3g}: {right}."
+    return f"{' '.join(said)}\n\n{revealed}"
+
+
+def _lacks_said(found: Mapping[str, Any]) -> str:
+    """Causes with their sizes, and what naming them gains on held-out records in the channel where they show most."""
+    if found["verdict"] == "nothing":
+        return "The simulation lacks nothing that these records show."
+    if not found["causes"]:
+        return "The simulation lacks something that no known cause explains."
+    causes = []
+    for c in found["causes"]:
+        sizes = ", ".join(f"{name} {p['value']:.3g} {p['unit']}".rstrip() for name, p in c["parameters"].items())
+        ties = f", or {' or '.join(c['ties'])}" if c["ties"] else ""
+        causes.append(f"{c['effect']}@{c['at']} ({sizes}){ties}")
+    best = min(found["stages"], key=lambda e: e["extended"] / e["recalibrated"] if e["recalibrated"] else 1.0)
+    gain = (
+        f"with it the full-run error of {best['channel']} on {best['record']} falls from {best['recalibrated']:.3g} to "
+        f"{best['extended']:.3g} {best['unit']}"
     )
+    more = " Something more is missing." if found["verdict"] == "incomplete" else ""
+    return f"The simulation lacks {' and '.join(causes)}: {gain}.{more}"
+
+
+def _loops_said(errors: Mapping[str, Mapping[str, tuple[float, str]]]) -> str:
+    """The errors of the closed loops."""
+    each = "; ".join(f"{law} {', '.join(f'{y} {e:.3g} {unit}' for y, (e, unit) in own.items())}" for law, own in errors.items())
+    return f"RMS errors in closed loop on the extended machine: {each}."
+
+
+def _models_said(scores: Mapping[str, Any]) -> str:
+    """The range of FIT of every model and output."""
+    parts = []
+    for model in scores["models"]:
+        own = [s for s in model["scores"] if s["split"] == "held-out" and s["horizon"] == "free-run"]
+        fits = {y: [s["FIT"] for s in own if s["output"] == y] for y in dict.fromkeys(s["output"] for s in own)}
+        spans = [f"{y} {min(fit):.0f}" + f" to {max(fit):.0f}" * (len(fit) > 1) + " %" for y, fit in fits.items()]
+        parts.append(f"{model['model']} {', '.join(spans)}")
+    return f"FIT of held-out free runs: {'; '.join(parts)}."
+
+
+def _tracked(run: Experiment) -> dict[str, tuple[float, str]]:
+    """RMS error of every output in a loop, with its unit."""
+    return {y: (tracking(run[f"{y}_set"] - run[y], run.dt)["RMS"], run.channel(y).unit) for y in OUTPUTS}
+
+
+def _checked_said(found: Mapping[str, Any]) -> str:
+    """The overall status, counts, and the claims that are broken or open."""
+    claims: dict[str, list[str]] = {}
+    for v in found["verdicts"]:
+        claims.setdefault(v["status"], []).append(v["claim"])
+    counts = ", ".join(f"{len(own)} {status}" for status, own in claims.items())
+    rest = "".join(f" {status}: {'; '.join(claims[status])}." for status in ("FAILED", "UNDECIDED") if status in claims)
+    return f"{found['status']} ({counts}).{rest}"
+
+
+# ---- the page -------------------------------------------------------------------------------------------------------------
 
 
 def _report(
-    records: Records, identified: Identified, judged: Judged, envelopes: Envelopes, source: dict[str, Any], quick: bool
+    folder: Path, done: Mapping[str, Done], said: str, hidden: Hidden | None, source: Mapping[str, Any], quick: bool
 ) -> Report:
-    simulated = judged.machine is not None
-    shown = [e for e in records.all if e.name in ("prbs2", "rbs", "sine", "rgs")] or list(records.held_out)
-    held = [e for e in shown if records.split(e.name) == "held-out"] or list(records.held_out)
-    sections = [
-        Section("Scores", (*_score_blocks(records, identified, judged), _band_table(judged))),
-        Section("Measured and simulated", tuple(traces(e, identified.models, OUTPUT) for e in shown)),
-        envelope_section(envelopes, held[-1], identified.seconds),
-        Section("What the models rest on", tuple(_evidence(records, identified, simulated))),
-        Section("Residuals", (residual_table(identified.models, records.held_out, closed_loop=True if simulated else None),)),
-        Section("Data", (_data_table(records), *_advice_blocks(judged))),
-        Section("Provenance", (Provenance(source),)),
+    titles = {
+        "diagnosis": "What the simulation gets wrong", "models": "Models", "pid": "Scheduled PID",
+        "check-pid": "Is the scheduled PID safe", "check-mpc": "Is the MPC safe",
+    }  # fmt: skip
+    parts = {name: _section(titles[name], name, done[name]) for name in titles}
+    loops = Section("Closed loop on the extended plant", _loops(folder))
+    sections = [parts["diagnosis"], parts["models"], parts["pid"], loops, parts["check-pid"], parts["check-mpc"]]
+    if hidden:
+        sections.append(Section("What was hidden", (Text(_revealed(folder, hidden)),)))
+    sections.append(Section("Stages", (_stage_table(done),)))
+    title = "Web winding machine: from records to verdicts" + " (quick look)" * quick
+    return Report(title, said, (*sections, Section("Provenance", (Provenance(source),))))
+
+
+def _section(title: str, name: str, done: Done) -> Section:
+    """What a stage's page says first, and the blocks of it that belong on the page of the chain."""
+    page = read_report(done.folder)
+    blocks: list[Block] = [Text(page.verdict), Text(f"All of it: {name}/report.html beside this page.")]
+    for own in page.sections:
+        if own.title in SHOWN[name]:
+            blocks += [block for block in own.blocks if not isinstance(block, Provenance)]
+    return Section(title, tuple(blocks))
+
+
+def _loops(folder: Path) -> tuple[Block, ...]:
+    """Both laws through the run of the limits, with noise: outputs beside their set-points, and commands."""
+    runs = {LAWS[law]: read(folder / f"loop-{law}" / "limits.csv") for law in LAWS}
+    first = next(iter(runs.values()))
+    shown = [
+        figures.Followed(
+            first.channel(name), first[f"{name}_set"] if name in OUTPUTS else None, {law: run[name] for law, run in runs.items()}
+        )
+        for name in (*OUTPUTS, "V1", "V2")
     ]
-    said = f"{_verdict(identified, judged, quick)} {_envelope_verdict(envelopes)}"
-    return Report("Web winding machine: LTI, ILM, SSM and interval models compared", said, tuple(sections))
+    errors = {law: _tracked(run) for law, run in runs.items()}
+    table = Table(
+        "Errors of the closed loop",
+        ("law", *(f"{name} RMS [{unit}]" for name, (_, unit) in next(iter(errors.values())).items())),
+        tuple((law, *(value for value, _ in own.values())) for law, own in errors.items()), digits=3,
+        caption="Set-point minus measured value, noise in it, over the whole run.", best=min,
+    )  # fmt: skip
+    return figures.closed_loop("Run of limits.toml", first.t, shown), table
 
 
-def _score_blocks(records: Records, identified: Identified, judged: Judged) -> list[Block]:
-    models, scores = list(identified.models), judged.scores
-    machine: dict[Any, float] | None = judged.machine
-    blocks: list[Block] = [figures.score_dots(scores, OUTPUT)]
-    for title, measure, printed in (("1.1: FIT", "FIT", PRINTED_FIT), ("1.2: RM", "RM", PRINTED_RM)):
-        rows = _score_rows(records, scores, "free-run", measure)
-        header = ("record", "split", *models)
-        caption = f"{OUTPUT} simulated from the measured inputs."
-        if machine is not None:
-            rows = [(*row, *(printed[m][EXPERIMENTS.index(row[0])] for m in models)) for row in rows]
-            header += tuple(f"{model} in [1]" for model in models)
-            if measure == "FIT":
-                rows = [(*row[: 2 + len(models)], machine[row[0]], *row[2 + len(models) :]) for row in rows]
-                header = (*header[: 2 + len(models)], "true machine", *header[2 + len(models) :])
-                caption += " True machine: the plant itself, noise-free, driven by the logged inputs; nothing can do better."
-            caption += f" {PRINTED_NOTE}"
-        name = f"Table {title} [%], free run" if machine is not None else f"{measure} [%], free run"
-        blocks.append(Table(name, header, tuple(rows), caption=caption, digits=3))
-    blocks.append(
-        Table(
-            "FIT [%] by horizon",
-            ("record", "split", *(f"{model} {horizon_name(h)}" for h in HORIZONS[1:] for model in models)),
-            tuple(
-                (e.name, records.split(e.name), *(_value(scores, m, e.name, h, "FIT") for h in HORIZONS[1:] for m in models))
-                for e in records.all
-            ),
-            caption="One step ahead and one second (25 samples) ahead, from the measured outputs up to then.",
-            digits=3,
+def _revealed(folder: Path, hidden: Hidden) -> str:
+    found = read_json(folder / "diagnosis" / "diagnosis.json")
+    named = "; ".join(
+        f"{c['effect']}@{c['at']}: "
+        + ", ".join(
+            f"{n} {p['value']:.4g} {p['unit']} (95 %: {p['low']:.4g} to {p['high']:.4g})" for n, p in c["parameters"].items()
         )
+        for c in found["causes"]
     )
-    return blocks
-
-
-def _evidence(records: Records, identified: Identified, simulated: bool) -> list[Block]:
-    path, chosen = identified.sweep.path, identified.chosen
-    orders = sorted({c.order for c in path})
-    best = {n: max((c for c in path if c.order == n), key=lambda c: c.fit) for n in orders}
-    own = sorted((c for c in path if c.order == chosen.order), key=lambda c: c.mu[0])
-    held = [np.nan if c.held_out is None else c.held_out for c in own]
-    pictures = [
-        figures.order_sweep(
-            orders,
-            {
-                "estimation": np.array([best[n].fit for n in orders]),
-                "held-out": np.array([np.nan if best[n].held_out is None else best[n].held_out for n in orders], float),
-            },
-            chosen.order,
-        ),
-        figures.sparsity_path(
-            np.array([c.mu[0] for c in own]),
-            np.array([c.support for c in own]),
-            np.array([c.fit for c in own]),
-            np.array(held, float),
-            float(chosen.mu[0]),
-        ),
-        figures.singular_values(identified.singular_values, identified.models["LTI"].order),
-        _coefficients(records, identified.models["SSM"], simulated),
-    ]
-    owners = ("SSM", "SSM", "LTI", "SSM")
-    blocks: list[Block] = [replace(p, title=f"{owner}: {p.title}") for owner, p in zip(owners, pictures, strict=True)]
-    if simulated:
-        blocks.append(_frozen(identified))
-    blocks.append(
-        Table(
-            "Models",
-            ("model", "order", "largest frozen pole radius", "time to identify [s]"),
-            tuple(
-                (name, model.order, model.stability().radius, identified.seconds[name])
-                for name, model in identified.models.items()
-            ),
-            caption="The largest radius over the whole reel: close to 1 a model forgets slowly, and its free run drifts. "
-            "The time includes the sweep over orders, bounds and numbers of local models.",
-        )
-    )
-    estimates = identified.models["SSM"].estimates
-    blocks.append(
-        Table(
-            "Coefficients of SSM",
-            ("coefficient", "value", "standard deviation", "feasible from", "feasible to"),
-            tuple((e.name, e.value, e.std, _or_nan(e.low), _or_nan(e.high)) for e in estimates),
-            caption="Every coefficient that the sparse identification kept. The feasible interval holds the values that the "
-            "records and the noise allow, if all other coefficients are zero and the noise is no larger than the residuals "
-            "suggest. One that holds 0 is not proved to be needed. rho is the radius over the scale in the model file.",
-        )
-    )
-    notes = "\n\n".join(f"{name}: {note}" for name, model in identified.models.items() for note in model.notes)
-    return [*blocks, Text(notes)] if notes else blocks
-
-
-def _or_nan(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
-# ---- truth: the frozen machine ----------------------------------------------------------------------------------------
-
-
-def frozen_machine(r2: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C of the sampled machine (40 ms, zero-order hold) with both radii held, from V1, V2 to w3."""
-    from scipy.linalg import expm
-
-    p = {q.name: q.value for q in WEB_WINDING.parameters}
-    r1 = np.sqrt(p["r_full"] ** 2 + p["r_core"] ** 2 - r2**2)  # what is on one reel is missing on the other
-    A, B, C, _ = WEB_WINDING.linearize(*WEB_WINDING.equilibrium(r1=r1, r2=r2))
-    fast = [i for i, name in enumerate(WEB_WINDING.state_names) if name not in ("r1", "r2")]
-    A, B, C = A[np.ix_(fast, fast)], B[fast], C[[WEB_WINDING.output_names.index(OUTPUT)]][:, fast]
-    n, m = len(fast), B.shape[1]
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = A * WEB_WINDING.dt, B * WEB_WINDING.dt
-    held = expm(block)
-    return held[:n, :n], held[:n, n:], C
-
-
-def true_coefficients(r2: np.ndarray, order: int, u: np.ndarray, noise: float) -> np.ndarray:
-    """f_i, g_i that a regression of `order` finds on the frozen machine from an endless noisy record; (len(r2), 3 order).
-
-    Least squares on noise-free responses to u (N, 2), with the variance of the sensor's noise added where the regressors are
-    measured outputs: noise in the regressors moves the coefficients, and the identified ones with them. In the order
-    y(k-1), y(k-2), .., then for each lag V1, V2.
-    """
-    rows = []
-    for radius in r2:
-        A, B, C = frozen_machine(radius)
-        x, y = np.zeros(len(A)), np.empty(len(u))
-        for k in range(len(u)):
-            y[k] = (C @ x)[0]
-            x = A @ x + B @ u[k]
-        past = range(1, order + 1)
-        lagged = [y[order - i : len(y) - i] for i in past] + [u[order - i : len(u) - i, j] for i in past for j in (0, 1)]
-        Phi = np.column_stack(lagged)
-        variance = np.diag([noise**2 * len(Phi)] * order + [0.0] * (2 * order))
-        rows.append(np.linalg.solve(Phi.T @ Phi + variance, Phi.T @ y[order:]))
-    return np.array(rows)
-
-
-def _coefficients(records: Records, model: LPVModel, simulated: bool) -> Picture:
-    """f_i(rho), g_i(rho) of SSM read off its frozen observer form, beside the truth where it is known."""
-    span = model.span
-    radius = np.linspace(span[0], span[1], 25)
-    n = model.order
-    frozen = [model.freeze(r) for r in radius]
-    f = np.array([A[:, 0] for A, *_ in frozen])
-    g = np.array([B for _, B, *_ in frozen])
-    truth = None
-    if simulated:
-        e = records.estimation.experiments[0]
-        truth = true_coefficients(radius, n, e[INPUTS] - e[INPUTS].mean(axis=0), WEB_WINDING.noise[OUTPUT])
-    curves = {}
-    for i in range(n):
-        curves[f"{OUTPUT}(k-{i + 1})"] = figures.Coefficient(f[:, i], truth=None if truth is None else truth[:, i])
-    for i in range(n):
-        for j, name in enumerate(INPUTS):
-            column = None if truth is None else truth[:, n + 2 * i + j]
-            curves[f"{name}(k-{i + 1})"] = figures.Coefficient(g[:, i, j], truth=column)
-    picture = figures.coefficient_functions(figures.Trace(Channel(SCHEDULE, "m"), radius), curves)
-    if truth is None:
-        return picture
-    return replace(
-        picture,
-        caption=f"{picture.caption} Truth: what the same regression finds on the machine with its radii frozen, from an endless "
-        "record with the sensor's noise. Noise in the regressors moves the coefficients of any such regression, so these are not "
-        "the coefficients of a noise-free machine; the frozen response below compares with the machine itself.",
+    return (
+        f"These records were simulated, with {hidden.effect} in the machine ({hidden.parameter} {hidden.size:.4g}), drawn from "
+        f"the seed; no stage was told of it. The diagnosis says: {found['verdict']}{f', {named}' if named else ''}."
     )
 
 
-def _frozen(identified: Identified) -> Block:
-    """Magnitude from V2 to w3 with the radius frozen: the machine and its models."""
-    model = identified.models["SSM"]
-    radius = np.linspace(model.span[0], model.span[1], 3)
-    omega = np.geomspace(0.1, 0.95 * np.pi / WEB_WINDING.dt, 120)
-    z = np.exp(1j * omega * WEB_WINDING.dt)
-
-    def magnitude(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
-        response = [(C @ np.linalg.solve(s * np.eye(len(A)) - A, B[:, 1]))[0] for s in z]
-        return 20 * np.log10(np.abs(response))
-
-    curves = {"machine": np.array([magnitude(*frozen_machine(r)) for r in radius])}
-    for name, own in identified.models.items():
-        curves[name] = np.array([magnitude(*own.freeze(r)[:3]) for r in radius])
-    return figures.frozen_responses(omega, figures.Trace(Channel(SCHEDULE, "m"), radius), curves, "Frozen response from V2 to w3")
-
-
-# ---- the rest of the page -----------------------------------------------------------------------------------------------
-
-
-def _data_table(records: Records) -> Block:
-    return Table(
-        "Records",
-        ("record", "split", "samples", "duration [s]", f"{SCHEDULE} from [m]", f"{SCHEDULE} to [m]"),
-        tuple(
-            (e.name, records.split(e.name), len(e), e.dt * len(e), float(e[SCHEDULE].min()), float(e[SCHEDULE].max()))
-            for e in records.all
-        ),
-    )
-
-
-def _advice_blocks(judged: Judged) -> list[Block]:
-    lines = [f"{a.severity}: {a.record}, {a.channel}: {a.sentence}" for a in judged.advice]
-    return [Text("\n\n".join(lines))] if lines else []
+def _stage_table(done: Mapping[str, Done]) -> Table:
+    rows = tuple((name, d.stage.command, d.seconds, "no" if d.fresh else "yes") for name, d in done.items())
+    caption = "Each of them is a command to type in this folder. Seconds are those of the time when it ran."
+    return Table("Stages", ("folder", "command", "time [s]", "as before"), rows, caption, digits=3)

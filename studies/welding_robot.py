@@ -39,7 +39,8 @@ from workbench.provenance import provenance
 from workbench.readers import check_units, read_all, write_csv
 from workbench.records import field, record
 from workbench.report import figures
-from workbench.report.page import Block, Provenance, Report, Section, Table, Text, write_report
+from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
+from workbench.report.page import write_report
 from workbench.simulate import simulate
 
 Say = Callable[[str], None]

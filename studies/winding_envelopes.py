@@ -18,7 +18,7 @@ from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.lpv import LPVModel
 from workbench.records import record
-from workbench.report.page import Block, Section, Table, Text
+from workbench.report.blocks import Block, Section, Table, Text
 
 INTERVALS = 5  # of the radius
 ORDER = 2

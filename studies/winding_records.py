@@ -38,7 +38,8 @@ from workbench.physics.identified import identified
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.records import record
-from workbench.report.page import Provenance, Report, Section, Table, Text, write_report
+from workbench.report.blocks import Provenance, Report, Section, Table, Text
+from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 Errors = Mapping[tuple[str, str], float]  # root mean square by output and horizon

@@ -40,17 +40,34 @@ def write_json(path: str | Path, content: Any) -> Path:
     return write_text(path, rows + "\n")
 
 
-def read_json(path: str | Path) -> Any:
-    """Read a JSON file; a broken one is refused with its line."""
-    path = Path(path)
+def read_text(path: str | Path) -> str:
+    """The text (UTF-8) of a file that this program has written, its line ends as they are."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as reason:
-        raise InputError(f"not JSON: {reason.msg}", file=path, line=reason.lineno, mend="is the file whole?") from None
+        with open(path, encoding="utf-8", newline="") as stream:
+            return stream.read()
     except UnicodeDecodeError:
-        raise InputError("not a text file", file=path, mend="expected JSON in UTF-8") from None
+        raise InputError("not a text file", file=path, mend="expected UTF-8") from None
     except OSError as reason:
         raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file; a broken one is refused with its line."""
+    try:
+        return json.loads(read_text(path))
+    except json.JSONDecodeError as reason:
+        raise InputError(f"not JSON: {reason.msg}", file=path, line=reason.lineno, mend="is the file whole?") from None
+
+
+def user_cache(name: str) -> Path | None:
+    """A folder of this program under $WORKBENCH_CACHE or the user's cache folder; None where it cannot be written."""
+    root = os.environ.get("WORKBENCH_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(root) / "gain-scheduling-workbench" / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
 
 
 def sha256(path: str | Path) -> str:

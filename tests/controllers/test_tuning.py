@@ -1,14 +1,16 @@
 """Tuning under bounds: the published example, optimality against brute force, and bounds kept where nobody looked."""
 
 import control
+import cvxpy as cp
 import numpy as np
 import pytest
 from scipy.optimize import brute
 
 from controllers.pid import pid
 from controllers.scheduled_pid import parts
-from controllers.tuning import Bounds, tune
+from controllers.tuning import Bounds, cones, tune
 from workbench.errors import InputError
+from workbench.robustness.semidefinite import conic
 
 TAU = 0.3
 
@@ -164,3 +166,27 @@ def test_what_cannot_be_designed_is_refused():
         tune([up, down], np.ones((2, 1)), discrete(0.1), omega)
     with pytest.raises(InputError, match="broken at the 'middle'"):
         Bounds(broken="middle")
+
+
+@pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
+@pytest.mark.parametrize("k", [1, 2, 4])
+@pytest.mark.parametrize("kind", [float, complex])
+def test_cones_say_what_the_matrix_inequalities_say(k, kind):
+    """The largest step along a direction, by CVXPY with the Hermitian matrices as they are, and by bisection on eigenvalues."""
+    random = np.random.default_rng(k)
+
+    def hermitian(shape):
+        M = random.normal(size=shape) + (1j * random.normal(size=shape) if kind is complex else 0.0)
+        return (M + np.conj(np.swapaxes(M, -1, -2))) / 2.0
+
+    F, f = hermitian((5, 3, k, k)), np.tile(3.0 * np.eye(k), (5, 1, 1)).astype(kind)
+    c = np.array([1.0, 0.3, -0.2])
+    x = conic(c, [*cones(F, f), *cones(-np.eye(3)[:, :, None, None], np.full((3, 1, 1), 9.0))])
+    v = cp.Variable(3)
+    sums = [f[m] + sum(v[i] * F[m, i] for i in range(3)) for m in range(5)]
+    wrapped = [cp.bmat([[cp.real(M), -cp.imag(M)], [cp.imag(M), cp.real(M)]]) if kind is complex else M for M in sums]
+    problem = cp.Problem(cp.Maximize(c @ v), [(W + W.T) / 2 >> 0 for W in wrapped] + [v <= 9.0])
+    problem.solve(solver=cp.CLARABEL)
+    assert c @ x == pytest.approx(problem.value, rel=1e-5)
+    least = [np.linalg.eigvalsh(f[m] + np.tensordot(x, F[m], 1)).min() for m in range(5)]
+    assert min(least) == pytest.approx(0.0, abs=1e-6)  # on the boundary, and not beyond

@@ -2,7 +2,7 @@
 
 import pytest
 
-from studies import web_winding
+from studies import winding_models
 from workbench.report import figures
 
 
@@ -14,5 +14,5 @@ def winding_study(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figures, "coefficient_functions", lambda *a, **k: seen.update(coefficients=a) or original[0](*a, **k))
         patch.setattr(figures, "frozen_responses", lambda *a, **k: seen.update(frozen=a) or original[1](*a, **k))
-        path = web_winding.main(quick=True, folder=folder, seed=5, say=said.append, progress=lambda _: None)
+        path = winding_models.main(quick=True, folder=folder, seed=5, say=said.append, progress=lambda _: None)
     return folder, path, "\n".join(said), seen

@@ -1,130 +1,123 @@
-"""The main job: the tables, the files and the claims of its report."""
+"""The whole chain on the winding machine: what is hidden is found, every stage is a command, the page and its numbers agree."""
 
 import json
+import re
+import shutil
 
 import numpy as np
 import pytest
 
-from studies import STUDIES, web_winding
-from studies.web_winding import frozen_machine, true_coefficients
+from plants import WEB_WINDING
+from studies import web_winding
+from studies.stages import MARK
+from studies.web_winding import HIDDEN, drawn
 from workbench.errors import InputError
+from workbench.readers import read
+from workbench.report.archive import read_report
+
+SEED = 11
 
 
-@pytest.fixture
-def result(winding_study):
-    return winding_study[:3]
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory):
+    """folder, path of the page, and what was said."""
+    folder, said = tmp_path_factory.mktemp("chain"), []
+    path = web_winding.main(quick=True, folder=folder, seed=SEED, say=said.append, progress=lambda _: None)
+    return folder, path, "\n".join(said)
 
 
-def test_every_study_has_a_main():
-    assert all(callable(find().main) for find in STUDIES.values())
+def test_what_is_hidden_is_found_and_the_gain_is_measured_on_unseen_records(chain):
+    folder = chain[0]
+    hidden, found = drawn(SEED), json.loads((folder / "diagnosis" / "diagnosis.json").read_text())
+    assert found["verdict"] == "named"
+    named = {f"{c['effect']}@{c['at']}" for c in found["causes"]}
+    named |= {key for c in found["causes"] for key in c["ties"]}
+    assert hidden.effect in named
+    assert {e["record"] for e in found["stages"]} == {"sine"}  # which nothing was fitted to
+    shown = min(found["stages"], key=lambda e: e["extended"] / e["recalibrated"])
+    assert shown["extended"] < 0.97 * shown["recalibrated"]
+    assert hidden.effect in chain[2]
+    assert "no stage was told" in chain[1].read_text()
 
 
-def test_models_reach_the_fit_that_the_machine_allows(result):
-    """Free-run FIT of w3 on records drawn with a seed of their own; the floors are those the machine was built for."""
-    scores = json.loads((result[0] / "scores.json").read_text())["models"]
-    fit = {m["model"]: {s["record"]: s["FIT"] for s in m["scores"] if s["horizon"] == "free-run"} for m in scores}
-    for name, floor in {"prbs1": 95, "prbs2": 94, "rbs": 95, "sine": 93, "rgs": 94}.items():
-        assert fit["SSM"][name] >= floor
-        assert fit["ILM"][name] >= 80
-        assert fit["ILM"][name] >= fit["LTI"][name] + 10
-        assert fit["SSM"][name] > fit["ILM"][name]
+def test_no_stage_after_the_records_is_told_what_is_hidden(chain):
+    folder = chain[0]
+    stages = json.loads((folder / "web-winding.json").read_text())["stages"]
+    assert list(stages) == ["records", "diagnosis", "models", "pid", "mpc", "loop-pid", "loop-mpc", "check-pid", "check-mpc"]
+    own = drawn(SEED)
+    assert own.effect in stages["records"]["command"]
+    assert all(own.effect not in stage["command"] for name, stage in stages.items() if name != "records")
+    assert all(own.effect not in read(path).names for path in (folder / "records").glob("*.csv"))
 
 
-def test_tables_show_the_printed_numbers_beside_ours(result):
-    assert "(95)" in result[2].replace(" ", "")
-    assert "held-out" in result[2]
+def test_errors_of_the_loops_are_those_of_the_records_of_the_loops(chain):
+    folder = chain[0]
+    for law, name in web_winding.LAWS.items():
+        run = read(folder / f"loop-{law}" / "limits.csv")
+        for y, unit in (("w3", "rad/s"), ("theta", "deg")):
+            rms = float(np.sqrt(np.mean((run[f"{y}_set"] - run[y]) ** 2)))
+            assert f"{y} {rms:.3g} {unit}" in re.search(rf"extended machine:.*?{name} ([^;.]*(?:\.[^;. ]+[^;.]*)*)", chain[2])[0]
 
 
-def test_report_opens_with_the_verdict_and_holds_every_picture(result):
-    page = result[1].read_text()
-    assert page.index("records that no model has seen") < page.index("<svg")
-    for title in ("w3, record prbs2", "w3, record rbs", "w3, record sine", "w3, record rgs", "Sparsity path"):
-        assert title in page
-    assert "Singular values" in page
-    assert "Coefficients over r2" in page
+def test_verdicts_on_the_page_are_those_of_the_checks(chain):
+    folder = chain[0]
+    for law, name in web_winding.LAWS.items():
+        found = json.loads((folder / f"check-{law}" / "check.json").read_text())
+        assert f"{name}: {found['status']} (" in chain[2]
+        for v in found["verdicts"]:
+            if v["status"] in ("FAILED", "UNDECIDED"):
+                assert v["claim"] in chain[2]
 
 
-def test_users_records_go_the_same_way(result, tmp_path):
-    said = []
-    path = web_winding.main(
-        quick=True, folder=tmp_path, data=str(result[0] / "records"), say=said.append, progress=lambda _: None
+def test_the_page_holds_every_stage_and_reads_again(chain):
+    page = read_report(chain[0])
+    assert [s.title for s in page.sections] == [
+        "What the simulation gets wrong", "Models", "Scheduled PID", "Closed loop on the extended plant",
+        "Is the scheduled PID safe", "Is the MPC safe", "What was hidden", "Stages", "Provenance",
+    ]  # fmt: skip
+    assert all(len(s.blocks) >= 2 for s in page.sections[:6])
+    text = chain[1].read_text()
+    assert "http" not in re.sub(r"http://www\.w3\.org/[\w/]*", "", text)  # nothing is fetched
+
+
+def test_a_second_run_computes_nothing_and_says_the_same(chain):
+    folder, said = chain[0], []
+    marks = {path: path.stat().st_mtime_ns for path in folder.glob(f"*/{MARK}")}
+    assert len(marks) == 9
+    web_winding.main(quick=True, folder=folder, seed=SEED, say=said.append, progress=lambda _: None)
+    assert "\n".join(said) == chain[2]
+    assert {path: path.stat().st_mtime_ns for path in folder.glob(f"*/{MARK}")} == marks
+
+
+def test_every_effect_that_may_be_hidden_is_one_of_the_machine():
+    for key, (parameter, low, high) in HIDDEN.items():
+        for size in (low, high):
+            assert WEB_WINDING.effect_vector({key: {parameter: size}}).any()
+    assert {drawn(seed).effect for seed in range(60)} == set(HIDDEN)
+
+
+def test_a_users_records_are_taken_as_they_are_and_refused_in_words(chain, tmp_path):
+    """Copied into the run, roles by name; a record without theta, and one without a partner, are refused before any work."""
+    own = tmp_path / "own"
+    shutil.copytree(chain[0] / "records", own, ignore=shutil.ignore_patterns("*.json", "states"))
+    split = web_winding._taken(own, tmp_path / "run")
+    assert split.estimation == ("records/prbs1.csv", "records/rbs.csv")
+    assert split.held_out == ("records/sine.csv",)
+    assert (tmp_path / "run" / "records" / "sine.csv").read_bytes() == (own / "sine.csv").read_bytes()
+    setpoint = web_winding._limits(tmp_path / "run", str(own), split)
+    assert setpoint["w3"] == pytest.approx(100.0, abs=3.0)
+    (own / "limits.toml").write_text("[run]\nduration = 20.0\n[run.setpoints]\nw3 = 90.0\n[limits.w3]\nhigh = 120.0\n")
+    with pytest.raises(InputError, match="no set-point for theta"):
+        web_winding._limits(tmp_path / "run", str(own), split)
+    (own / "limits.toml").write_text(
+        "[run]\nduration = 20.0\n[run.setpoints]\nw3 = 90.0\ntheta = 2.0\n[limits.w3]\nhigh = 120.0\n"
     )
-    ours = json.loads((result[0] / "scores.json").read_text())["models"][0]["scores"][0]["FIT"]
-    theirs = json.loads((tmp_path / "scores.json").read_text())["models"][0]["scores"][0]["FIT"]
-    assert theirs == pytest.approx(ours, abs=1e-9)
-    assert "The true machine itself" in result[1].read_text()
-    assert "The true machine itself" not in path.read_text()  # nobody knows the noise of a user's sensor
-    assert "in [1]" not in path.read_text()  # nor is their machine the paper's
-
-
-def test_a_spoilt_held_out_record_is_doubted_not_ranked(result, tmp_path):
-    """One sentinel value of -9999 in the only held-out record: no model "describes best", and the warning is at hand."""
-    folder = tmp_path / "records"
-    folder.mkdir()
-    for name in ("prbs1", "rbs"):
-        (folder / f"{name}.csv").write_bytes((result[0] / "records" / f"{name}.csv").read_bytes())
-    lines = (result[0] / "records" / "rgs.csv").read_text().splitlines()
-    column = lines[0].split(",").index("w3 [rad/s]")
-    cells = lines[900].split(",")
-    cells[column] = "-9999"
-    lines[900] = ",".join(cells)
-    (folder / "rgs.csv").write_text("\n".join(lines) + "\n")
-    said = []
-    web_winding.main(quick=True, folder=tmp_path / "out", data=str(folder), say=said.append, progress=lambda _: None)
-    text = "\n".join(said)
-    assert "No model describes these records" in text
-    assert "best over the whole reel" not in text
-    assert any(line.startswith("warning: rgs, w3") for line in said)
-
-
-def test_weakness_is_found_where_it_is():
-    """A model that is wrong at large radius only: the error by radius says so, and the verdict's ratio with it."""
-    from workbench.data import Dataset
-
-    record = web_winding.simulate(
-        web_winding.WEB_WINDING,
-        web_winding.plan("web-winding", "rbs").controller,
-        web_winding.plan("web-winding", "rbs").scenario(2),
-    ).experiment.with_roles(("V1", "V2"), ("w3",), ("r2",))
-    model = web_winding.LTI(order=3).fit(Dataset((record.trim(stop=30.0),)))  # knows the small radii only
-    edges = np.linspace(record["r2"].min(), record["r2"].max(), web_winding.BANDS + 1)
-    errors = web_winding._band_errors(model, Dataset((record,)), edges)
-    assert np.argmax(errors) == web_winding.BANDS - 1
-    assert errors[-1] > 3 * errors[0]
-
-
-def test_too_few_records_are_refused(tmp_path):
+    assert web_winding._limits(tmp_path / "run", str(own), split) == {"w3": 90.0, "theta": 2.0}
+    for path in own.glob("*.csv"):
+        path.write_text(path.read_text().replace("theta [deg]", "thata [deg]"))
+    with pytest.raises(InputError, match=r"(?s)no channel theta.*winding-models"):
+        web_winding.main(folder=tmp_path / "run2", data=str(own))
+    (own / "sine.csv").unlink()
+    (own / "rbs.csv").unlink()
     with pytest.raises(InputError, match="at least two records"):
-        web_winding.main(folder=tmp_path, data=str(tmp_path))
-
-
-def test_frozen_machine_is_the_linearised_plant_sampled_exactly():
-    """Against the simulated plant: a small step of V2 around equilibrium with the radii (nearly) still."""
-    from plants import WEB_WINDING
-    from workbench.physics.controller import Playback
-    from workbench.simulate import Scenario, simulate
-
-    r2 = 0.018
-    r1 = np.sqrt(0.0264**2 + 0.011**2 - r2**2)
-    _, u0 = WEB_WINDING.equilibrium(r1=r1, r2=r2)
-    u = np.tile(u0, (30, 1))
-    u[3:, 1] += 1e-3
-    scenario = Scenario("step", {"V1": u[:, 0], "V2": u[:, 1]}, start={"r1": r1, "r2": r2})
-    held = simulate(WEB_WINDING, Playback(("V1", "V2"), 0.04), scenario, substeps=40).experiment["w3"]
-    still = Scenario("still", {"V1": np.full(30, u0[0]), "V2": np.full(30, u0[1])}, start={"r1": r1, "r2": r2})
-    rest = simulate(WEB_WINDING, Playback(("V1", "V2"), 0.04), still, substeps=40).experiment["w3"]
-    A, B, C = frozen_machine(r2)
-    x, y = np.zeros(len(A)), []
-    for k in range(30):
-        y.append((C @ x)[0])
-        x = A @ x + B @ (u[k] - u0)
-    np.testing.assert_allclose(held - rest, y, atol=6e-3 * np.abs(y).max())
-
-
-def test_true_coefficients_of_full_order_reproduce_the_frozen_machine():
-    """Order 5 without noise is exact: the regression's transfer function has the machine's poles."""
-    u = np.random.default_rng(0).normal(size=(4000, 2))
-    theta = true_coefficients(np.array([0.02]), 5, u, 0.0)[0]
-    A, *_ = frozen_machine(0.02)
-    poles = np.roots(np.concatenate([[1.0], -theta[:5]]))
-    np.testing.assert_allclose(np.sort(np.abs(poles)), np.sort(np.abs(np.linalg.eigvals(A))), rtol=1e-3, atol=1e-3)
+        web_winding.main(folder=tmp_path / "run3", data=str(own))

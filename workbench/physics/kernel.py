@@ -8,7 +8,6 @@ the machine code beside them: same content, no compilation; other content, anoth
 
 import hashlib
 import importlib.util
-import os
 import re
 import sys
 import tempfile
@@ -21,7 +20,7 @@ from types import ModuleType
 
 import casadi as ca
 
-from workbench.files import write_text
+from workbench.files import user_cache, write_text
 from workbench.records import record
 
 SCALAR, SIMD = 1, 16  # lanes: one run for the shortest answer, sixteen for the highest rate
@@ -416,15 +415,7 @@ def cache_folder() -> Path:
 
     Where neither can be written, a new private folder that only this process knows: what lies in a shared one is run.
     """
-    root = os.environ.get("WORKBENCH_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(root) / "gain-scheduling-workbench" / "kernels"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:
-        pass
-    return Path(tempfile.mkdtemp(prefix="gain-scheduling-workbench-"))
+    return user_cache("kernels") or Path(tempfile.mkdtemp(prefix="gain-scheduling-workbench-"))
 
 
 _LOADING = threading.Lock()

@@ -3,16 +3,7 @@
 The page needs no matplotlib; only `workbench.report.figures` imports it, and nothing else in the library does.
 """
 
-from workbench.report.page import (
-    Column,
-    Data,
-    Picture,
-    Provenance,
-    Report,
-    Section,
-    Table,
-    Text,
-    write_report,
-)
+from workbench.report.blocks import Column, Data, Picture, Provenance, Report, Section, Table, Text
+from workbench.report.page import write_report
 
 __all__ = ["Column", "Data", "Picture", "Provenance", "Report", "Section", "Table", "Text", "write_report"]

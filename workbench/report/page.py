@@ -1,7 +1,7 @@
 """The report: a page that opens from disk, verdict first, then pictures and tables, each with its numbers as CSV.
 
 report = Report("Web winding machine", "SSM names ...", (Section("Models", (picture, table)),))
-write_report(report, "runs/1")      # runs/1/report.html and runs/1/data/*.csv
+write_report(report, "runs/1")      # runs/1/report.html, runs/1/data/*.csv, and runs/1/report.json, which is read again
 """
 
 import csv
@@ -11,19 +11,18 @@ import math
 import re
 import statistics
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeGuard
 from urllib.parse import quote
 
 import numpy as np
 
-from workbench.files import write_text
-from workbench.records import RecordError, record
+from workbench.files import write_json, write_text
+from workbench.report.archive import content_of
+from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Table, Text
 from workbench.report.sheet import SCRIPT, STYLE
 from workbench.report.svg import embed, printable
-
-Cell = str | float | int | None
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -34,104 +33,9 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inli
 INLINE = 1_000_000
 
 
-@record
-class Column:
-    """A named column with its unit: numbers or texts."""
-
-    name: str
-    values: Sequence[Cell] | np.ndarray
-    unit: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-
-@record
-class Data:
-    """The numbers behind a picture: named columns of one length."""
-
-    name: str
-    columns: tuple[Column, ...]
-
-    def __post_init__(self):
-        lengths = {str(column): len(column.values) for column in self.columns}
-        if len(set(lengths.values())) > 1:
-            raise RecordError(f"Data {self.name!r}: columns of different lengths {lengths}")
-
-
-@record
-class Picture:
-    """A picture (SVG) under its title, with a caption, the numbers behind it, and what it shows in words."""
-
-    title: str
-    figure_svg: str
-    caption: str
-    data: Data
-    alt: str = ""
-
-
-@record
-class Table:
-    """Rows of numbers and texts; the first column names the row. Units belong into the header.
-
-    best: `max` or `min` sets the best number of every row in bold. digits: of the median number of a column.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    caption: str = ""
-    best: Callable[[Iterable[float]], float] | None = None
-    digits: int = 4
-
-    def __post_init__(self):
-        for row in self.rows:
-            if len(row) != len(self.header):
-                raise RecordError(f"Table {self.title!r}: {len(row)} cells in {row}, {len(self.header)} in the header")
-
-    @property
-    def data(self) -> Data:
-        """The numbers of the table, unrounded."""
-        return Data(self.title, tuple(Column(h, [row[i] for row in self.rows]) for i, h in enumerate(self.header)))
-
-
-@record
-class Text:
-    """Plain text; an empty line starts a new paragraph."""
-
-    text: str
-
-
-@record
-class Provenance:
-    """Where the numbers come from: data hash, configuration, versions, seed. Nested mappings are indented."""
-
-    content: Mapping[str, object]
-    title: str = "Provenance"
-
-
-Block = Picture | Table | Text | Provenance
-
-
-@record
-class Section:
-    """A part of a report under its own heading."""
-
-    title: str
-    blocks: tuple[Block, ...]
-
-
-@record
-class Report:
-    """A title, the verdict in a paragraph or a few, an empty line between them, and what it rests on."""
-
-    title: str
-    verdict: str
-    sections: tuple[Section, ...] = ()
-
-
 def write_report(report: Report, folder: str | Path) -> Path:
-    """Write `report.html`, one file that needs nothing else, and the numbers as `data/*.csv`; returns the page's path.
+    """Write `report.html`, one file that needs nothing else, the numbers as `data/*.csv`, and `report.json` for `read_report`;
+    returns the page's path.
 
     Everything is put together before the first file is written, the page comes last, and what a failed attempt has newly
     written is removed again.
@@ -140,10 +44,12 @@ def write_report(report: Report, folder: str | Path) -> Path:
     names = _file_names(report)
     tables = {folder / "data" / names[id(block)]: csv_text(block.data) for block in _with_data(report)}
     page = html_text(report)
-    new = [path for path in tables if not path.exists()]
+    archive = folder / "report.json"
+    new = [path for path in (*tables, archive) if not path.exists()]
     try:
         for path, text in tables.items():
             write_text(path, text)
+        write_json(archive, content_of(report, names))
         return write_text(folder / "report.html", page)
     except BaseException:
         for path in new:

@@ -42,6 +42,7 @@ PROBED = 32  # random corners at which the integrator's steps are counted before
 POPULATION = 16  # as many as run side by side in the compiled step
 NEAR, WIDE = 0.15, 0.3  # first step of a search from the best point and from a random one, in widths of the box
 ENOUGH = 1e-5  # of what a bound allows, below which a search no longer improves and the next one begins
+AMPLITUDE, PHASE = "amplitude", "phase"  # of an effect that has the sizes cosine and sine
 CORNERS = 0.4  # of the budget, at most, for single numbers going from end to end
 
 
@@ -50,7 +51,10 @@ CORNERS = 0.4  # of the budget, at most, for single numbers going from end to en
 
 @record
 class Dimension:
-    """A number that is only known to lie in [low, high]: a physical parameter or, where `effect` names one, a number of it."""
+    """A number that is only known to lie in [low, high]: a physical parameter or, where `effect` names one, a number of it.
+
+    An effect with a phase has the numbers `amplitude` and `phase` [rad] besides its own: cosine = amplitude cos(phase), ...
+    """
 
     name: str
     low: float = field("")
@@ -98,7 +102,12 @@ def fitted_box(plant: Plant, path: str | Path) -> tuple[Dimension, ...]:
         for cause in content.get("causes", []):
             key = f"{cause['effect']}@{cause['at']}"
             check_known("effect", key, dict.fromkeys(slot.key for slot in plant.slots), file=path)
+            phased = any(slot.key == key and slot.effect.phase for slot in plant.slots)
             for name, own in cause["parameters"].items():
+                if phased and name == AMPLITUDE:  # where a run meets it nobody knows
+                    box.append(_fitted(path, name, own, 0.0, bounds[key, "cosine"].high, key))
+                    box.append(Dimension(PHASE, -math.pi, math.pi, key))
+                    continue
                 check_known(f"parameter of {key}", name, [n for k, n in bounds if k == key], file=path)
                 box.append(_fitted(path, name, own, bounds[key, name].low, bounds[key, name].high, key))
     except (KeyError, TypeError, AttributeError) as reason:
@@ -112,6 +121,14 @@ def fitted_box(plant: Plant, path: str | Path) -> tuple[Dimension, ...]:
 def _fitted(path: str | Path, name: str, own: Mapping[str, Any], low: float, high: float, effect: str | None) -> Dimension:
     bounds = [_number(path, f"{side} of {name}", own[side]) for side in ("low", "high")]
     return Dimension(name, *np.clip(bounds, low, high).tolist(), effect=effect)
+
+
+def _polar(own: Mapping[str, float]) -> dict[str, float]:
+    """Numbers of an effect, amplitude and phase among them where it has them."""
+    if "cosine" not in own:
+        return dict(own)
+    c, s = own["cosine"], own["sine"]
+    return {**own, AMPLITUDE: math.hypot(c, s), PHASE: math.atan2(s, c)}
 
 
 class _Box:
@@ -138,17 +155,30 @@ class _Box:
     def nominal(self) -> np.ndarray:
         """The plant's own numbers (n), or what in the box is nearest to them."""
         p, eta = self.plant.nominal, self.plant.effect_vector()
-        own = np.array([(eta if d.effect else p)[self._at(d)] for d in self.dimensions])
+        effects: dict[str, dict[str, float]] = {}
+        for slot, value in zip(self.plant.slots, eta.tolist(), strict=True):
+            effects.setdefault(slot.key, {})[slot.parameter.name] = value
+        own = np.array([_polar(effects[d.effect])[d.name] if d.effect else p[self._at(d)] for d in self.dimensions])
         return np.clip((own - self.low) / self.width, 0.0, 1.0) if self.n else own
 
     def vectors(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p = np.repeat(self.plant.nominal[None], len(z), axis=0)
         eta = np.repeat(self.plant.effect_vector()[None], len(z), axis=0)
-        for i, d in enumerate(self.dimensions):
-            # the ends are met exactly, and never missed by a rounding error
-            (eta if d.effect else p)[:, self._at(d)] = np.clip(self.low[i] + z[:, i] * self.width[i], d.low, d.high)
-        for d in self.fixed:
-            (eta if d.effect else p)[:, self._at(d)] = d.low
+        polar: dict[str, dict[str, np.ndarray]] = {}
+        # the ends are met exactly, and never missed by a rounding error
+        values = [np.clip(self.low[i] + z[:, i] * self.width[i], d.low, d.high) for i, d in enumerate(self.dimensions)]
+        for d, value in zip(
+            (*self.dimensions, *self.fixed), (*values, *(np.full(len(z), d.low) for d in self.fixed)), strict=True
+        ):
+            if d.effect and d.name in (AMPLITUDE, PHASE):
+                polar.setdefault(d.effect, {})[d.name] = value
+            else:
+                (eta if d.effect else p)[:, self._at(d)] = value
+        for effect, own in polar.items():
+            c, s = (self._at(Dimension(name, 0.0, 0.0, effect)) for name in ("cosine", "sine"))
+            amplitude = own.get(AMPLITUDE, np.hypot(eta[:, c], eta[:, s]))
+            phase = own.get(PHASE, np.arctan2(eta[:, s], eta[:, c]))
+            eta[:, c], eta[:, s] = amplitude * np.cos(phase), amplitude * np.sin(phase)
         return p, eta
 
     def _at(self, d: Dimension) -> int:
@@ -283,7 +313,7 @@ class Worst:
     @property
     def point(self) -> dict[str, float]:
         """The numbers of the worst machine by dimension."""
-        return {str(d): self.effects[d.effect][d.name] if d.effect else self.parameters[d.name] for d in self.dimensions}
+        return {str(d): _polar(self.effects[d.effect])[d.name] if d.effect else self.parameters[d.name] for d in self.dimensions}
 
     @property
     def sentence(self) -> str:

@@ -5,9 +5,11 @@ believed: near a margin "almost solved" is the rule, and whoever asks checks the
 """
 
 from collections.abc import Sequence
+from enum import Enum
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from workbench.records import field, record
 
@@ -30,30 +32,41 @@ def maximise(
     accuracy: float = ACCURACY,
 ) -> np.ndarray | None:
     """x that Clarabel ends with, or None; equal: rows (r, len(c)) and values (r) of rows x = values."""
-    import clarabel as compiled  # its names are not visible to the type checker
-    from scipy import sparse
-
-    clarabel: Any = compiled
-    rows, values, cones = [], [], []
-    if equal is not None:
-        rows.append(sparse.csc_matrix(equal[0]))
-        values.append(equal[1])
-        cones.append(clarabel.ZeroConeT(len(equal[1])))
+    cones: list[tuple[Any, np.ndarray, Cone]] = [(equal[0], equal[1], Cone.ZERO)] if equal is not None else []
     for block in blocks:
         own = -vector(block.F).T
         row, column = np.nonzero(own)
         place = row, block.at.astype(int)[column]
-        rows.append(sparse.csc_matrix((own[row, column], place), shape=(len(own), len(c))))
-        values.append(vector(block.F0))
-        cones.append(clarabel.PSDTriangleConeT(block.F0.shape[0]))
+        cones.append((sparse.csc_matrix((own[row, column], place), shape=(len(own), len(c))), vector(block.F0), Cone.PSD))
+    return conic(c, cones, accuracy)
+
+
+class Cone(Enum):
+    """What rows b - A x lie in: 0; the nonnegative numbers; (p, q) with p >= |q|; `vector` of a matrix >= 0."""
+
+    ZERO = "ZeroConeT"
+    NONNEGATIVE = "NonnegativeConeT"
+    SECOND_ORDER = "SecondOrderConeT"
+    PSD = "PSDTriangleConeT"
+
+
+def conic(c: np.ndarray, cones: Sequence[tuple[Any, np.ndarray, Cone]], accuracy: float = ACCURACY) -> np.ndarray | None:
+    """x that Clarabel ends with, or None: maximise c'x with b - A x in a cone, for each (A, b, cone)."""
+    import clarabel as compiled  # its names are not visible to the type checker
+
+    clarabel: Any = compiled
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = accuracy
     n = len(c)
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix((n, n)), -np.asarray(c, dtype=float), sparse.vstack(rows, format="csc"), np.concatenate(values), cones,
-        settings,
-    )  # fmt: skip
+    kinds = [
+        getattr(clarabel, cone.value)(round((np.sqrt(8 * len(b) + 1) - 1) / 2) if cone is Cone.PSD else len(b))
+        for _, b, cone in cones
+    ]
+    parts, values = [A for A, _, _ in cones], np.concatenate([b for _, b, _ in cones])
+    dense = all(isinstance(A, np.ndarray) for A in parts)
+    A = sparse.csc_matrix(np.concatenate(parts)) if dense else sparse.vstack(parts, format="csc")
+    solver = clarabel.DefaultSolver(sparse.csc_matrix((n, n)), -np.asarray(c, dtype=float), A, values, kinds, settings)
     x = np.array(solver.solve().x)
     return x if np.isfinite(x).all() else None
 

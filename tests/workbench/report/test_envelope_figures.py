@@ -10,8 +10,8 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.records import RecordError
 from workbench.report import figures
+from workbench.report.blocks import Picture
 from workbench.report.figures import Band, ParameterInterval, Trace, Width
-from workbench.report.page import Picture
 from workbench.report.palette import SERIES
 from workbench.report.svg import embed
 

@@ -12,8 +12,8 @@ from workbench.data import Channel
 from workbench.metrics import Score
 from workbench.records import RecordError
 from workbench.report import figures
+from workbench.report.blocks import Picture
 from workbench.report.figures import Coefficient, Trace
-from workbench.report.page import Picture
 from workbench.report.palette import PAPER, SERIES
 from workbench.report.svg import embed
 

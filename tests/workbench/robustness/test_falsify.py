@@ -289,6 +289,29 @@ def test_what_a_plant_was_extended_by_is_in_the_file(tmp_path):
         replace(stored, parameters={k: v for k, v in stored.parameters.items() if k != "b2"}).replay(WELDING_ROBOT, ROBOT_LAW)
 
 
+def test_an_effect_with_a_phase_is_tried_at_every_phase(tmp_path):
+    """A diagnosis says its amplitude; the worst run of the box is that of the worst phase, found here by trying all of them."""
+    estimate = {"value": 0.3, "low": 0.25, "high": 0.35, "unit": "N"}
+    rest = {"order": {"value": 2.0, "low": 2.0, "high": 2.0, "unit": "1/turn"}}
+    cause = {"effect": "torque-ripple", "at": "rail", "parameters": {"amplitude": estimate} | rest}
+    path = tmp_path / "diagnosis.json"
+    path.write_text(json.dumps({"causes": [cause], "recalibrated": {}}))
+    box = fitted_box(WELDING_ROBOT, path)
+    key = "torque-ripple@rail"
+    assert [str(d) for d in box] == [f"{key}:amplitude", f"{key}:phase", f"{key}:order"]
+    limit, scenario = Limit("v", high=0.3, unit="m/s"), Scenario("steps", {"v_set": np.repeat([0.0, 0.2], [50, 150])})
+    found = worst_plant(WELDING_ROBOT, ROBOT_LAW, scenario, [limit], box, runs=150, seed=1)
+    size = found.effects[key]
+    assert np.hypot(size["cosine"], size["sine"]) <= 0.35 * (1 + 1e-12)
+    assert found.point[f"{key}:amplitude"] == pytest.approx(np.hypot(size["cosine"], size["sine"]))
+    peaks = []
+    for phase in np.linspace(-np.pi, np.pi, 60):
+        sizes = {key: {"cosine": 0.35 * np.cos(phase), "sine": 0.35 * np.sin(phase), "order": 2.0}}
+        peaks.append(simulate(WELDING_ROBOT, ROBOT_LAW, scenario, effects=sizes, bumpless=True).experiment["v"].max())
+    assert found.excess + 0.3 >= max(peaks) - 0.02 * np.ptp(peaks)
+    assert np.ptp(peaks) > 1e-3  # the phase matters
+
+
 def test_intervals_of_a_diagnosis_or_a_calibration_are_a_box(tmp_path):
     estimate = {"value": 0.2, "low": -0.1, "high": 0.3, "unit": "N"}
     cause = {"effect": "coulomb", "at": "rail", "parameters": {"level": estimate}}

@@ -8,8 +8,8 @@ from matplotlib.ticker import MaxNLocator
 import workbench.report.figures.canvas as canvas
 from workbench.data import Channel
 from workbench.records import RecordError, record
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
-from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MEASURED, MUTED, SERIES
 
 FAR = 3.0  # from the origin; Nyquist curves are cut off beyond

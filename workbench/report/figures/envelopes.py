@@ -11,8 +11,8 @@ import workbench.report.figures.canvas as canvas
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.records import field, record
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
-from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MUTED, SERIES, Colour
 
 #: What lies outside is always of this colour, so no band is.

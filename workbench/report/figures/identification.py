@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 import workbench.report.figures.canvas as canvas
-from workbench.report.page import Column, Data, Picture
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.palette import INK, MUTED, PAPER, SERIES
 
 

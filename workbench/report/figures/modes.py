@@ -11,8 +11,8 @@ import workbench.report.figures.canvas as canvas
 from workbench.data import GAP, Channel
 from workbench.errors import InputError
 from workbench.records import field, record
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
-from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MUTED, SERIES
 
 #: More stretches than this are stripes: the line alone carries the colours.

@@ -6,7 +6,7 @@ import numpy as np
 
 import workbench.report.figures.canvas as canvas
 from workbench.records import RecordError, field, record
-from workbench.report.page import Column, Data, Picture
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.palette import MUTED, SERIES
 
 

@@ -7,8 +7,8 @@ from matplotlib.ticker import MaxNLocator
 
 import workbench.report.figures.canvas as canvas
 from workbench.records import RecordError, record
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
-from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MUTED, SERIES
 from workbench.report.svg import printable
 

@@ -8,7 +8,7 @@ import numpy as np
 import workbench.report.figures.canvas as canvas
 from workbench.metrics import Horizon, Score, horizon_name
 from workbench.records import RecordError
-from workbench.report.page import Column, Data, Picture
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.palette import MUTED
 
 

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 import workbench.report.figures.canvas as canvas
 from workbench.data import Channel
 from workbench.errors import InputError
+from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
-from workbench.report.page import Column, Data, Picture
 from workbench.report.palette import INK, MEASURED, MUTED
 
 #: A response this many times larger than the usual one is cut off.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plants import WEB_WINDING
-from studies.web_winding import frozen_machine, true_coefficients
+from studies.winding_models import frozen_machine, true_coefficients
 from workbench.lpv import load_model
 
 

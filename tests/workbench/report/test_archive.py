@@ -1,0 +1,85 @@
+"""A report that is written and read again is the same page; several make one."""
+
+import numpy as np
+import pytest
+
+from workbench.errors import InputError
+from workbench.report import figures
+from workbench.report.archive import joined, read_report
+from workbench.report.blocks import Column, Data, Picture, Provenance, Report, Section, Table, Text
+from workbench.report.page import html_text, write_report
+
+ROWS = (
+    ("a", 1.0, 3, "x", None, np.float64(2.5)),
+    ("b", float("nan"), 4, "", np.inf, -np.inf),
+    ("1.5", 1e-12, True, "<&>", 1e300, np.float64("nan")),
+)
+
+
+def made() -> Report:
+    t = np.linspace(0.0, 1.0, 50)
+    drawn = figures.responses("Step response", t, {"one": np.sin(t), "two": np.where(t > 0.5, np.nan, t)}, "rad/s")
+    odd = Picture(
+        "Odd",
+        drawn.figure_svg,
+        "said",
+        Data(
+            "odd [x]",
+            (
+                Column("n, a", ["1", 'q"', ""], "m [2]"),
+                Column("e", []),
+            )[:1],
+        ),
+    )
+    return Report(
+        "Title <b>",
+        "First.\n\nSecond.",
+        (
+            Section("One", (drawn, Table("Numbers", ("name", "u", "v", "w", "x", "y"), ROWS, "why", max, 3), Text("a\n\nb"))),
+            Section("Two", (odd, Provenance({"seed": 1, "deep": {"list": [1, 2], "none": None}}, "From"))),
+        ),
+    )
+
+
+def test_the_page_is_the_same_to_the_last_character(tmp_path):
+    report = made()
+    write_report(report, tmp_path)
+    again = read_report(tmp_path)
+    assert html_text(again) == html_text(report)
+    write_report(again, tmp_path / "again")
+    for path in (tmp_path / "data").iterdir():
+        assert (tmp_path / "again" / "data" / path.name).read_bytes() == path.read_bytes()
+    assert (tmp_path / "again" / "report.json").read_bytes() == (tmp_path / "report.json").read_bytes()
+
+
+def test_several_pages_make_one(tmp_path):
+    one, two = made(), Report("Other", "Said.", (Section("Own", (Text("x"),)),))
+    whole = joined("Both", "In short.", {"first": one, "second": two})
+    assert [s.title for s in whole.sections] == [
+        "first: Title <b>", "first: One", "first: Two", "second: Other", "second: Own", "Provenance",
+    ]  # fmt: skip
+    assert whole.sections[-1].blocks[0].title == "first: From"
+    page = html_text(whole)
+    for text in ("In short.", "First.", "Said.", "Step response"):
+        assert text in page
+
+
+def test_what_is_no_report_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"no report\.json"):
+        read_report(tmp_path)
+    write_report(made(), tmp_path)
+    path = tmp_path / "report.json"
+    whole = path.read_text()
+    for spoilt, said in (
+        (whole[:100], "not JSON"),
+        ("[]", "no report of this version"),
+        (whole.replace("report/1", "report/9"), "no report of this version"),
+        (whole.replace('"caption"', '"caption_"'), "damaged"),
+        (whole.replace('"blocks": [', '"blocks": [3, '), "damaged"),
+        (whole.replace('"text":', '"tixt":'), "damaged"),
+    ):
+        path.write_text(spoilt)
+        with pytest.raises(InputError, match=said):
+            read_report(tmp_path)
+    path.write_text(whole.replace('"file": "01', '"file": "../../01'))  # a name stays in the report's own folder
+    assert read_report(tmp_path).title == "Title <b>"

@@ -1,0 +1,111 @@
+"""A report as a file that is read again: `report.json` beside the page, with the numbers of pictures in `data/*.csv`.
+
+write_report(report, "runs/1")        # writes it
+read_report("runs/1")                 # the same report, from its files
+joined("Chain", "..", {"models": read_report("runs/1"), "checks": read_report("runs/2")})
+"""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.errors import InputError
+from workbench.files import read_json, read_text
+from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Section, Table, Text
+
+SCHEMA = "workbench/report/1"
+BEST = {"max": max, "min": min}
+
+
+def content_of(report: Report, files: Mapping[int, str]) -> dict[str, Any]:
+    """A report as plain numbers and texts; files: names of the CSV files of the pictures, by identity."""
+    return {
+        "schema": SCHEMA,
+        "title": report.title,
+        "verdict": report.verdict,
+        "sections": [{"title": s.title, "blocks": [_content(block, files) for block in s.blocks]} for s in report.sections],
+    }
+
+
+def _content(block: Block, files: Mapping[int, str]) -> dict[str, Any]:
+    match block:
+        case Picture():
+            own = {"title": block.title, "caption": block.caption, "alt": block.alt, "svg": block.figure_svg}
+            return {"picture": own | {"data": block.data.name, "file": files[id(block)]}}
+        case Table():
+            own = {"title": block.title, "caption": block.caption, "digits": block.digits, "header": list(block.header)}
+            own["best"] = block.best.__name__ if block.best else None
+            return {"table": own | {"rows": [[_cell(cell) for cell in row] for row in block.rows]}}
+        case Text():
+            return {"text": block.text}
+        case Provenance():
+            return {"provenance": {"title": block.title, "content": block.content}}
+
+
+def _cell(cell: Cell) -> Any:
+    """JSON has no number that is none, and none that is infinite."""
+    plain = cell.item() if isinstance(cell, np.generic) else cell
+    if isinstance(plain, float) and not math.isfinite(plain):
+        return None if math.isnan(plain) else {"infinite": math.copysign(1.0, plain)}
+    return plain
+
+
+def read_report(folder: str | Path) -> Report:
+    """The report that `write_report` has written into a folder. Raises InputError where a file is missing or is none of ours."""
+    path = Path(folder) / "report.json"
+    if not path.is_file():
+        raise InputError("holds no report.json", file=folder, mend="name the folder of a run")
+    content = read_json(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError("is no report of this version", file=path, mend="run the command again that wrote it")
+    try:
+        sections = [Section(s["title"], tuple(_block(b, path.parent) for b in s["blocks"])) for s in content["sections"]]
+        return Report(content["title"], content["verdict"], tuple(sections))
+    except (KeyError, TypeError, ValueError, AttributeError) as reason:
+        raise InputError(f"is damaged: {reason!r}", file=path, mend="run the command again that wrote it") from None
+
+
+def _block(content: Mapping[str, Any], folder: Path) -> Block:
+    ((kind, own),) = content.items()
+    match kind:
+        case "picture":
+            data = Data(own["data"], _columns(folder / "data" / Path(own["file"]).name))
+            return Picture(own["title"], own["svg"], own["caption"], data, own["alt"])
+        case "table":
+            rows = tuple(tuple(_number(cell) for cell in row) for row in own["rows"])
+            best = BEST[own["best"]] if own["best"] else None
+            return Table(own["title"], tuple(own["header"]), rows, own["caption"], best, own["digits"])
+        case "text":
+            return Text(own)
+        case "provenance":
+            return Provenance(own["content"], own["title"])
+    raise ValueError(f"no block is called {kind!r}")
+
+
+def _number(cell: Any) -> Cell:
+    return math.copysign(math.inf, cell["infinite"]) if isinstance(cell, dict) else cell
+
+
+def _columns(path: Path) -> tuple[Column, ...]:
+    """The columns of a CSV file, their cells as they were written."""
+    header, *rows = csv.reader(io.StringIO(read_text(path)))
+    names = [re.fullmatch(r"(.*?)(?: \[(.*)\])?", text, re.DOTALL) for text in header]
+    return tuple(Column(m[1], [row[i] for row in rows], m[2] or "") for i, m in enumerate(names) if m)
+
+
+def joined(title: str, verdict: str, parts: Mapping[str, Report]) -> Report:
+    """One page of several: every part's verdict and sections under its name, where they come from at the end."""
+    sections, sources = [], []
+    for name, part in parts.items():
+        sections.append(Section(f"{name}: {part.title}", (Text(part.verdict),)))
+        for own in part.sections:
+            said = [b for b in own.blocks if not isinstance(b, Provenance)]
+            sources += [Provenance(b.content, f"{name}: {b.title}") for b in own.blocks if isinstance(b, Provenance)]
+            sections += [Section(f"{name}: {own.title}", tuple(said))] if said else []
+    return Report(title, verdict, (*sections, *([Section("Provenance", tuple(sources))] if sources else [])))
