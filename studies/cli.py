@@ -262,6 +262,14 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--plant", metavar="PLANT", help=f"instead of the file's: {PLANT_HELP}")
     sub.add_argument("--controller", metavar="FILE", help="instead of the file's: controller written by design")
 
+    sub = command(
+        "report",
+        "draw the page of a run again from its files, or make one page of several runs",
+        "examples:\n  workbench report runs/mine\n  workbench report models found checked --title 'Line 3' --out page",
+    )
+    sub.add_argument("folders", nargs="+", metavar="DIR", help="folder of a run that has written report.json")
+    sub.add_argument("--title", metavar="TEXT", help="of a page of several runs (default: their names)")
+
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
     sub.add_argument(
         "study",

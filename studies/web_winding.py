@@ -249,7 +249,9 @@ def verdict(folder: Path, done: Mapping[str, Done], hidden: Hidden | None) -> st
     found = read_json(folder / "diagnosis" / "diagnosis.json")
     errors = {LAWS[law]: _tracked(read(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
     said = [_lacks_said(found), _models_said(read_json(folder / "models" / "scores.json")), _loops_said(errors)]
-    said += [f"{name}: {_checked_said(read_json(folder / f'check-{law}' / 'check.json'))}" for law, name in LAWS.items()]
+    said += [
+        f"Check of the {name}: {_checked_said(read_json(folder / f'check-{law}' / 'check.json'))}" for law, name in LAWS.items()
+    ]
     if not hidden:
         return " ".join(said)
     named = [f"{c['effect']}@{c['at']}" for c in found["causes"]]
@@ -287,14 +289,16 @@ def _loops_said(errors: Mapping[str, Mapping[str, tuple[float, str]]]) -> str:
 
 
 def _models_said(scores: Mapping[str, Any]) -> str:
-    """The range of FIT of every model and output."""
-    parts = []
+    """The model with the best worst FIT of a held-out free run, and its range for every output."""
+    spans, worst = {}, {}
     for model in scores["models"]:
         own = [s for s in model["scores"] if s["split"] == "held-out" and s["horizon"] == "free-run"]
         fits = {y: [s["FIT"] for s in own if s["output"] == y] for y in dict.fromkeys(s["output"] for s in own)}
-        spans = [f"{y} {min(fit):.0f}" + f" to {max(fit):.0f}" * (len(fit) > 1) + " %" for y, fit in fits.items()]
-        parts.append(f"{model['model']} {', '.join(spans)}")
-    return f"FIT of held-out free runs: {'; '.join(parts)}."
+        ranges = [f"{y} {min(fit):.0f}" + f" to {max(fit):.0f}" * (len(fit) > 1) + " %" for y, fit in fits.items()]
+        spans[model["model"]], worst[model["model"]] = ", ".join(ranges), min(min(fit) for fit in fits.values())
+    best = max(worst, key=lambda name: worst[name])
+    others = f", best of {', '.join(spans)}" if len(spans) > 1 else ""
+    return f"{best} follows held-out records with a free-run FIT of {spans[best]}{others}."
 
 
 def _tracked(run: Experiment) -> dict[str, tuple[float, str]]:

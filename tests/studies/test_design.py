@@ -274,6 +274,33 @@ def test_simulate_holds_set_points_on_the_model_and_on_the_plant(folder, capsys)
     assert runs[0]["at_limit"] == {"V2": 0.0, "V1": 0.0}
 
 
+def test_simulate_follows_the_run_of_a_file_of_limits(folder, capsys):
+    """The same set-points as the check: steps where the file has them; the seed and --start are those of the command line."""
+    limits = folder / "limits.toml"
+    limits.write_text(
+        "[run]\nduration = 6.0\n[run.setpoints]\nw3 = [[0.0, 100.0], [2.0, 104.0]]\ntheta = 1.0\n[limits.w3]\nhigh = 200.0\n"
+    )
+    loops = str(save_controller(web_winding_loops(), folder / "loops.json"))
+    own = ["simulate", "web-winding", "--controller", loops, "--limits", str(limits), "--out", str(folder / "along")]
+    assert main([*own, "--seed", "4"]) == 0
+    with open(folder / "along" / "limits.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(row["w3_set [rad/s]"]) for row in rows] == [100.0] * 50 + [104.0] * 100
+    assert {float(row["theta_set [deg]"]) for row in rows} == {1.0}
+    first = (folder / "along" / "limits.csv").read_bytes()
+    assert main([*own, "--seed", "5"]) == 0
+    assert (folder / "along" / "limits.csv").read_bytes() != first
+    capsys.readouterr()
+    limits.write_text("[loop]\nstable = true\n")
+    assert main(own) == 2
+    assert "[run] is missing" in capsys.readouterr().err
+    limits.write_text("[run]\nduration = 6.0\n[run.setpoints]\nw3 = 100.0\ntheta = 1.0\n[limits.w3]\nhigh = 200.0\n")
+    assert main(["simulate", str(folder / "m.json"), *own[2:]]) == 2
+    assert "--limits runs on a plant" in capsys.readouterr().err
+    assert main(["simulate", "web-winding", "--limits", str(limits)]) == 2
+    assert "--limits is for a controller to follow" in capsys.readouterr().err
+
+
 def test_commands_at_their_limits_are_said(folder, capsys):
     law = load_controller(folder / "out" / "scheduled-pid.json")
     file = str(save_controller(replace(law, high=np.array([np.inf, 1.0])), folder / "weak.json"))
@@ -287,7 +314,9 @@ def test_commands_at_their_limits_are_said(folder, capsys):
     [
         (["--setpoint", "w3=100"], "no set-point for theta"),
         (["--setpoint", "w4=100,theta=0"], "w4"),
-        (["--setpoint", "w3=100,theta=0", "--experiment", "ramp"], "neither --experiment nor --inputs-from"),
+        (["--setpoint", "w3=100,theta=0", "--experiment", "ramp"], "--setpoint goes with no other run"),
+        (["--setpoint", "w3=100,theta=0", "--limits", "l.toml"], "--setpoint goes with no other run"),
+        (["--limits", "no-such.toml"], "no-such.toml"),
         (["--setpoint", "w3=100,theta=0", "--effect", "input-delay@V1:time=0.02"], "has no --effect"),
         (["--duration", "3"], "--duration is for --setpoint"),
         ([], "which experiment?\n  mend: give --setpoint"),
@@ -303,7 +332,7 @@ def test_slips_with_set_points_are_named(folder, capsys, options, message):
 
 def test_set_points_need_a_controller(folder, capsys):
     assert main(["simulate", "web-winding", "--setpoint", "w3=100,theta=0", "--out", str(folder / "slip")]) == 2
-    assert "--setpoint is for a controller to hold" in capsys.readouterr().err
+    assert "--setpoint is for a controller to follow" in capsys.readouterr().err
 
 
 # ---- limits and set-points of a design ---------------------------------------------------------------------------------------
