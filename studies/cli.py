@@ -258,6 +258,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("sweep", metavar="FILE", help="what varies, and what is run (TOML)")
     sub.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes side by side (default 1)")
     sub.add_argument("--scheduler", metavar="ADDRESS", help="run on the workers of a Dask scheduler: tcp://HOST:8786")
+    sub.add_argument("--parquet", action="store_true", help="write sweep.parquet too (needs pyarrow)")
     sub.add_argument("--resume", action="store_true", help="finish the sweep in --out: rows that it holds are not run again")
     sub.add_argument("--plant", metavar="PLANT", help=f"instead of the file's: {PLANT_HELP}")
     sub.add_argument("--controller", metavar="FILE", help="instead of the file's: controller written by design")

@@ -9,6 +9,7 @@ import importlib
 import json
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,15 +18,31 @@ import numpy as np
 
 from controllers.files import controller_of
 from studies.arguments import choose_plant, find_plant, run_folder, trusted_plant
+from studies.sweep_page import page
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, sha256, write_json
 from workbench.metrics import tracking
 from workbench.physics.controller import Controller
 from workbench.physics.plant import Plant
+from workbench.provenance import provenance
 from workbench.records import field, record
+from workbench.report.page import write_report
 from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
+from workbench.sensitivity import sensitivity
 from workbench.simulate import LeftRangeError, Scenario, simulate, simulate_batch
-from workbench.sweep import Factor, Job, Point, StoppedError, Sweep, export_csv, load_sweep, read_rows, run_sweep
+from workbench.sweep import (
+    Factor,
+    Job,
+    Point,
+    StoppedError,
+    Sweep,
+    export_csv,
+    export_parquet,
+    load_sweep,
+    read_rows,
+    require_parquet,
+    run_sweep,
+)
 from workbench.toml import Table
 
 Say = Callable[[str], None]
@@ -39,7 +56,7 @@ class ClosedLoop:
     """A plant (as `choose_plant` knows it) under a controller (the text of its file) through a run, with the noise of a seed.
 
     For each output with a set-point RMS, max and IAE of its error, for each command its travel: sum of |u(k) - u(k-1)|.
-    sources: SHA-256 of the files that make the plant; where they have changed no run is made.
+    sources: SHA-256 of the files that make the plant; where they have changed no run is made. threads: of a compiled law's runs.
     """
 
     plant: str
@@ -48,6 +65,7 @@ class ClosedLoop:
     parameters: tuple[str, ...]
     noise: bool = True
     sources: Mapping[str, str] = field(default_factory=dict)
+    threads: int = 1
 
     def __post_init__(self):
         for name in self.parameters:
@@ -64,7 +82,11 @@ class ClosedLoop:
 
     @property
     def configuration(self) -> Mapping[str, Any]:
-        return {**vars(self), "run": vars(self.run)}
+        return {**{name: value for name, value in vars(self).items() if name != "threads"}, "run": vars(self.run)}
+
+    def on_threads(self, count: int) -> "ClosedLoop | None":
+        """A compiled law runs on threads of one process, which need not be started; another one holds Python's lock."""
+        return replace(self, threads=count) if isinstance(self._law, Controller) else None
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -104,11 +126,12 @@ class ClosedLoop:
         for name in self.parameters:
             kind, i, _ = self._place(name)
             vectors[kind][:, i] = [_number(name, point.values[name]) for point in points]
-        scenarios = [self._scenario(plant, law, point.seed) for point in points]
+        made = {seed: self._scenario(plant, law, seed) for seed in {point.seed for point in points}}
+        scenarios = [made[point.seed] for point in points]
         if isinstance(law, Controller):
             done = simulate_batch(
-                plant, law, scenarios, parameters=vectors["parameters"], effects=vectors["effects"], threads=1, bumpless=True,
-                alone=True,
+                plant, law, scenarios, parameters=vectors["parameters"], effects=vectors["effects"], threads=self.threads,
+                bumpless=True, alone=True,
             )  # fmt: skip
             runs = zip(done.measured, done.commands, strict=True)
         else:
@@ -213,13 +236,15 @@ RUNS: dict[str, Callable[[Sweep, Path, Namespace], Job]] = {"closed-loop": _clos
 
 
 def run(options: Namespace, say: Say, progress: Say) -> int:
-    """Run a sweep, or finish it; writes sweep.sqlite and sweep.csv."""
+    """Run a sweep, or finish it; writes sweep.sqlite, sweep.csv, and the page."""
     file = Path(options.sweep)
     sweep = load_sweep(file)
     make = RUNS[check_known("run", sweep.run, RUNS, file=file)]
     if options.resume and not options.out:
         raise InputError("which folder holds the sweep that is to go on?", mend="name it: --out DIR --resume")
     job = make(sweep, file, options)
+    if options.parquet:
+        require_parquet()
     folder = run_folder(options.out, "sweep")
     done = run_sweep(
         sweep, job, folder / "sweep.sqlite", resume=options.resume, jobs=options.jobs, scheduler=options.scheduler,
@@ -230,10 +255,24 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     say(f"{done.runs} runs, {done.failed} failed; {done.made} of them now, in {done.seconds:.1f} s")
     for text in _extremes(found, sweep.factors):
         say(text)
-    say(f"rows: {folder / 'sweep.sqlite'}, {folder / 'sweep.csv'}")
+    try:
+        indices, note = sensitivity(sweep, found), ""
+    except InputError as reason:
+        indices, note = (), str(reason)
+        say(f"note: {note}")
+    if options.parquet:
+        say(f"rows: {export_parquet(folder / 'sweep.sqlite', folder / 'sweep.parquet')}")
+    source = provenance({"sweep": options.sweep} | dict(job.configuration), [file], sweep.seed)
+    report = write_report(page(f"Sweep {file.stem}", sweep, found, indices, source, note), folder)
+    say(f"rows: {folder / 'sweep.sqlite'}, {folder / 'sweep.csv'}\nreport: {report}")
     if options.json:
-        write_json(options.json, {"names": found.names, "units": dict(found.units), "rows": [list(row) for row in found.rows]})
+        content = {"names": found.names, "units": dict(found.units), "rows": [list(row) for row in found.rows]}
+        write_json(options.json, content | {"sensitivity": [_finite(vars(i)) for i in indices]})
     return 0
+
+
+def _finite(own: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: None if isinstance(v, float) and not np.isfinite(v) else v for name, v in own.items()}
 
 
 def _extremes(found: Any, factors: Sequence[Factor]) -> list[str]:

@@ -191,20 +191,24 @@ def _lanes(
     plant.check_parameters(p)
     plant.check_effects(eta)
     R, N = max(len(scenarios), len(p), len(eta)), len(scenarios[0])
-    for scenario in scenarios:
+    distinct = list({id(scenario): scenario for scenario in scenarios}.values())  # in a sweep few differ
+    for scenario in distinct:
         _check_scenario(plant, controller, scenario, N)
     p, eta = np.broadcast_to(p, (R, p.shape[1])), np.broadcast_to(eta, (R, eta.shape[1]))
     start, hold = np.empty((R, len(plant.states))), np.empty((R, len(plant.inputs)))
-    for values in {tuple(sorted(scenario.start.items())) for scenario in scenarios}:
-        own = [i for i in range(R) if tuple(sorted(scenarios[i % len(scenarios)].start.items())) == values]
+    starts = {id(scenario): tuple(sorted(scenario.start.items())) for scenario in distinct}
+    for values in set(starts.values()):
+        own = [i for i in range(R) if starts[id(scenarios[i % len(scenarios)])] == values]
         start[own], hold[own] = plant.equilibria(p[own], **dict(values))
     gains, memory = np.empty((R, 0)), np.empty((R, 0))
     if isinstance(controller, Controller):
         commanded = hold[:, [plant.input_names.index(name) for name in controller.actuated]]
         gains = np.broadcast_to(controller.gains, (R, len(controller.gains)))
         memory = np.reshape([controller.init(u if bumpless else None) for u in commanded], (R, -1))
-    signals = [_signals(plant, controller, scenario) for scenario in scenarios]
-    reference, disturbance, noise = (np.broadcast_to(np.stack(s), (R, *s[0].shape)) for s in zip(*signals, strict=True))
+    number = {id(scenario): i for i, scenario in enumerate(distinct)}
+    which = [number[id(scenario)] for scenario in scenarios]
+    signals = zip(*(_signals(plant, controller, scenario) for scenario in distinct), strict=True)
+    reference, disturbance, noise = (np.broadcast_to(np.stack(s)[which], (R, *s[0].shape)) for s in signals)
     return stepper.Lanes(
         parameters=p,
         effects=eta,

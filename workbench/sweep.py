@@ -34,7 +34,9 @@ from workbench.provenance import versions
 from workbench.records import field, record
 from workbench.toml import Table, finite, kind, read_toml
 
-DESIGNS = ("grid", "list", "random", "latin-hypercube", "sobol")
+DRAWN = ("random", "latin-hypercube", "sobol", "morris", "sobol-indices")
+DESIGNS = ("grid", "list", *DRAWN)
+LEVELS = 4  # of a factor on a Morris trajectory
 LONGEST, MOST = 256, 1_000_000  # runs of a block, and of a sweep
 BLOCK, WAITED = 0.5, 10.0  # s that a block of runs should take, and that a scheduler is waited for
 KEYS = ("run", "design", "count", "seed", "seeds", "outputs", "parameters", "fixed")
@@ -124,18 +126,40 @@ class Sweep:
             return list(itertools.product(*(p.levels for p in self.factors)))
         if self.design == "list":
             return list(zip(*(p.values for p in self.factors), strict=True))
-        return [tuple(p.at(float(s)) for p, s in zip(self.factors, row, strict=True)) for row in self._shares()]
+        return [tuple(p.at(float(s)) for p, s in zip(self.factors, row, strict=True)) for row in self.shares()]
 
-    def _shares(self) -> np.ndarray:
-        """(count, factors) in [0, 1)."""
+    def shares(self) -> np.ndarray:
+        """(sets, factors) in [0, 1]: where a drawn design takes each factor.
+
+        Of `count` Morris trajectories or Sobol base points there are count (factors + 1) or count (factors + 2) sets.
+        """
         from scipy.stats import qmc
 
         n, random = len(self.factors), np.random.default_rng(self.seed)
-        if self.design == "random":
-            return random.uniform(size=(self.count, n))
-        if self.design == "latin-hypercube":
-            return qmc.LatinHypercube(n, rng=random).random(self.count)
-        return qmc.Sobol(n, rng=random).random_base2(math.ceil(math.log2(self.count)))[: self.count]
+        match self.design:
+            case "random":
+                return random.uniform(size=(self.count, n))
+            case "latin-hypercube":
+                return qmc.LatinHypercube(n, rng=random).random(self.count)
+            case "sobol":
+                return qmc.Sobol(n, rng=random).random_base2(math.ceil(math.log2(self.count)))[: self.count]
+            case "morris":
+                from SALib.sample.morris import sample
+
+                return np.asarray(sample(self.problem, self.count, num_levels=LEVELS, seed=random))
+            case _:
+                from SALib.sample.sobol import sample
+
+                return np.asarray(sample(self.problem, self.count, calc_second_order=False, seed=random))
+
+    @property
+    def problem(self) -> dict[str, Any]:
+        """The factors as SALib wants them, each from 0 to 1."""
+        return {
+            "num_vars": len(self.factors),
+            "names": [p.name for p in self.factors],
+            "bounds": [[0.0, 1.0]] * len(self.factors),
+        }
 
     def content(self) -> dict[str, Any]:
         """The sweep in plain values."""
@@ -145,10 +169,11 @@ class Sweep:
 def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep from TOML; what is unknown, missing or makes no sense is refused with key, what was expected and the mend.
 
-    run: what is done with each set of values. design, count: grid (default), list, random, latin-hypercube or sobol, and how many
-    of the last three, drawn from `seed`. seeds: each set once for every one. [parameters.NAME]: values, or low and high, with
-    scale = "log" for one that varies by factors, and count levels in a grid. outputs: those wanted, by default all. [fixed]: what
-    stays.
+    run: what is done with each set of values. design, count: grid (default), list, or one that is drawn from `seed`: random,
+    latin-hypercube or sobol, and how many sets; morris or sobol-indices, whose outputs tell what each factor does, and how many
+    trajectories or base points (a power of two). seeds: each set once for every one. [parameters.NAME]: values, or low and high,
+    with scale = "log" for one that varies by factors, and count levels in a grid. outputs: those wanted, by default all. [fixed]:
+    what stays.
     """
     top = read_toml(path, KEYS)
     run, design = top.text("run", None), check_known("design", top.text("design", "grid"), DESIGNS, file=path)
@@ -161,6 +186,12 @@ def load_sweep(path: str | Path) -> Sweep:
         raise top.refused("count", str(count), f"a {design} has as many points as its values make: leave it out")
     if count > MOST:
         raise top.refused("count", str(count), f"at most {MOST}")
+    if design == "sobol-indices" and count & (count - 1):
+        raise top.refused("count", str(count), f"a power of two: {2 ** (count.bit_length() - 1)} or {2 ** count.bit_length()}")
+    if design in ("morris", "sobol-indices") and len(factors) < 2:
+        raise InputError(f"design {design} with one parameter", file=path, mend="give two or more: their effects are compared")
+    if design in ("morris", "sobol-indices") and count == 1:
+        raise top.refused("count", "1", "two or more, usual are 10 to 50 trajectories, 256 to 4096 base points")
     if design not in ("grid", "list") and count < 1:
         raise InputError(f"design {design} without count", file=path, mend="give count = 100, the sets of values to draw")
     lengths = {len(p.values) for p in factors}
@@ -233,6 +264,10 @@ class Job(Protocol):
         """Unit of every output, by name."""
         ...
 
+    def on_threads(self, count: int) -> "Job | None":
+        """The same job on threads of this process, where it is as fast on them as on as many processes; else None."""
+        ...
+
     def __call__(self, points: Sequence[Point]) -> list[Mapping[str, float] | Exception]:
         """The outputs of each, or why there are none. A run's answer must not depend on which others are beside it."""
         ...
@@ -258,7 +293,7 @@ def run_sweep(
     scheduler: str | None = None,
     progress: Say = lambda _: None,
 ) -> Swept:
-    """A row for every point, `jobs` processes side by side; resume: those that `database` holds are not run again.
+    """A row for every point, `jobs` processes or threads side by side; resume: those that `database` holds are not run again.
 
     scheduler: address of a Dask scheduler, whose workers then run it instead; a block whose worker dies goes to another one.
 
@@ -279,7 +314,8 @@ def run_sweep(
         have = {run for (run,) in connection.execute("SELECT run FROM runs")}
         todo = [point for point in points if point.run not in have]
         made = 0
-        for block, answers, seconds in _answers(job, todo, jobs, scheduler):
+        threaded = job.on_threads(jobs) if jobs > 1 and scheduler is None else None
+        for block, answers, seconds in _answers(threaded or job, todo, 1 if threaded else jobs, scheduler):
             _put(connection, block, answers, seconds, names, tuple(outputs))
             made += len(block)
             progress(_told(connection, len(points), made, len(todo), time.monotonic() - began))
@@ -309,7 +345,7 @@ def _answers(
                 yield own
 
         for block, answers, seconds in spread(job, blocks()):
-            fair = max(1, (len(todo) - taken[0]) // (2 * count))  # the last ones end together
+            fair = max(1, (len(todo) - taken[0]) // (2 * count)) if count > 1 else LONGEST  # the last ones end together
             size[0] = max(1, min(LONGEST, fair, 2 * len(block), round(BLOCK * len(block) / max(seconds, 1e-6))))
             yield block, answers, seconds
 
@@ -551,3 +587,36 @@ def export_csv(database: str | Path, path: str | Path) -> Path:
     writer.writerow([f"{name} [{unit}]" if (unit := found.units.get(name)) else name for name in found.names])
     writer.writerows(["" if v is None else repr(v) if isinstance(v, float) else v for v in row] for row in found.rows)
     return write_text(path, text.getvalue())
+
+
+def require_parquet() -> Any:
+    """pyarrow, which writes Parquet. Raises InputError where it is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        mend = 'python -m pip install "gain-scheduling-workbench[parquet]", or use sweep.csv'
+        raise InputError("pyarrow is not installed", file="--parquet", mend=mend) from None
+    return pyarrow
+
+
+def export_parquet(database: str | Path, path: str | Path) -> Path:
+    """The rows as Parquet: types are kept, units are metadata of the columns."""
+    arrow: Any = require_parquet()
+    found, path = read_rows(database), Path(path)
+    columns, fields = [], []
+    for i, name in enumerate(found.names):
+        values = [row[i] for row in found.rows]
+        mixed = len({isinstance(v, str) for v in values if v is not None}) > 1
+        column = arrow.array([None if v is None else str(v) for v in values] if mixed else values)
+        columns.append(column)
+        fields.append(arrow.field(name, column.type, metadata={"unit": found.units.get(name, "")}))
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        arrow.parquet.write_table(arrow.Table.from_arrays(columns, schema=arrow.schema(fields)), temporary)
+        os.replace(temporary, path)
+    except OSError as reason:
+        raise InputError(f"cannot write: {reason}", file=path, mend="free some space or choose --out") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path

@@ -89,13 +89,54 @@ def test_every_row_is_the_run_that_simulate_makes(asked, capsys):
     assert float(first[2]) == found.rows[0][2]
 
 
-def test_two_processes_give_the_same_rows_to_the_last_bit(asked, tmp_path):
+class OnProcesses(ClosedLoop):
+    """The same runs, not on threads."""
+
+    def on_threads(self, count):
+        return None
+
+
+def test_threads_and_processes_give_the_same_rows_to_the_last_bit(asked, tmp_path, monkeypatch):
     assert main(["sweep", "sweep.toml", "--out", "one", "--json", "one.json"]) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr("studies.sweeps.ClosedLoop", OnProcesses)
+        assert main(["sweep", "sweep.toml", "--out", "processes", "--jobs", "2"]) == 0
+    assert read_rows("one/sweep.sqlite").rows == read_rows("processes/sweep.sqlite").rows
     assert main(["sweep", "sweep.toml", "--out", "two", "--jobs", "2"]) == 0
     assert read_rows("one/sweep.sqlite").rows == read_rows("two/sweep.sqlite").rows
     assert [tuple(row) for row in json.loads((asked / "one.json").read_text())["rows"]] == list(
         read_rows("two/sweep.sqlite").rows
     )
+
+
+def test_a_design_that_tells_what_matters_makes_a_page_that_says_it(asked, capsys):
+    """Dry friction moves the tension, and the web's stiffness hardly: Morris says so, in words, in JSON and in the page."""
+    text = SWEEP.replace('"random"', '"morris"').replace("count = 12", "count = 6")
+    (asked / "morris.toml").write_text(text.replace("values = [0.0, 0.002]", "low = 0\nhigh = 0.003"))
+    assert main(["sweep", "morris.toml", "--out", "m", "--json", "m.json", "--parquet"]) == 0
+    found = json.loads((asked / "m.json").read_text())
+    effects = {(i["output"], i["factor"]): i["value"] for i in found["sensitivity"]}
+    assert effects["theta RMS", FRICTION] > 5.0 * effects["theta RMS", "kE"]
+    rows = [row[4:6] for row in found["rows"]]
+    assert effects["theta RMS", FRICTION] <= np.ptp([row[found["names"].index("theta RMS")] for row in found["rows"]]) * 1.5
+    assert len(rows) == 6 * 3 * 2
+    page = (asked / "m" / "report.html").read_text()
+    assert f"theta RMS depends most on {FRICTION}" in page
+    for title in ("Every run", "What theta RMS depends on", "theta RMS of every run", f"theta RMS over {FRICTION} and kE"):
+        assert title in page
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(asked / "m" / "sweep.parquet")
+    assert table.column_names == found["names"]
+    assert table.to_pydict()["theta RMS"] == [row[found["names"].index("theta RMS")] for row in found["rows"]]
+    assert table.schema.field("kE").metadata[b"unit"] == found["units"]["kE"].encode()
+
+
+def test_parquet_without_pyarrow_is_refused_before_any_run(asked, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert main(["sweep", "sweep.toml", "--out", "o", "--parquet"]) == 2
+    assert "pyarrow is not installed" in capsys.readouterr().err
+    assert not (asked / "o").exists()
 
 
 def test_who_is_beside_a_run_does_not_matter():

@@ -542,6 +542,11 @@ class Plant:
         value among those to be solved for replaces the solution: the plant then starts beside its equilibrium. Raises InputError
         where the method does not converge.
         """
+        if len(p) > 1:  # in a sweep over seeds or effects few differ
+            rows, which = np.unique(p, axis=0, return_inverse=True)
+            if len(rows) < len(p):
+                x, u = self.equilibria(rows, **fixed)
+                return x[which], u[which]
         names = (*self.state_names, *self.input_names)
         z = np.zeros((len(p), len(names)))
         for name, value in (dict(self.start.guess) | dict(self.start.fixed) | fixed).items():

@@ -37,20 +37,21 @@ def write_report(report: Report, folder: str | Path) -> Path:
     """Write `report.html`, one file that needs nothing else, the numbers as `data/*.csv`, and `report.json` for `read_report`;
     returns the page's path.
 
-    Everything is put together before the first file is written, the page comes last, and what a failed attempt has newly
-    written is removed again.
+    Everything is put together before the first file is written, and what a failed attempt has newly written is removed again.
     """
     folder = Path(folder)
     names = _file_names(report)
     tables = {folder / "data" / names[id(block)]: csv_text(block.data) for block in _with_data(report)}
     page = html_text(report)
     archive = folder / "report.json"
-    new = [path for path in (*tables, archive) if not path.exists()]
+    new = [path for path in tables if not path.exists()]
     try:
         for path, text in tables.items():
             write_text(path, text)
+        written = write_text(folder / "report.html", page)
+        archive.unlink(missing_ok=True)  # that of a former page
         write_json(archive, content_of(report, names))
-        return write_text(folder / "report.html", page)
+        return written
     except BaseException:
         for path in new:
             path.unlink(missing_ok=True)

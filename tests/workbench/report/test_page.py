@@ -166,8 +166,8 @@ def test_file_names_stay_in_the_folder_and_apart(tmp_path):
     names = ["../../etc/passwd", "a/b", "a b", "A:B*?", "漢字", "..", "CON"]
     write_report(Report("r", "v", (Section("s", tuple(picture(name) for name in names)),)), tmp_path)
     files = sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file())
-    assert len(files) == len(names) + 1
-    assert all(re.fullmatch(r"report\.html|data/\d\d-[a-z0-9-]+\.csv", file) for file in files)
+    assert len(files) == len(names) + 2
+    assert all(re.fullmatch(r"report\.html|report\.json|data/\d\d-[a-z0-9-]+\.csv", file) for file in files)
 
 
 def test_a_report_that_cannot_be_drawn_leaves_nothing_behind(tmp_path):

@@ -21,12 +21,14 @@ from workbench.report.figures.robustness import beside_limits, guaranteed
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses
 from workbench.report.figures.scores import score_dots
 from workbench.report.figures.simulation import measured_and_simulated, responses
+from workbench.report.figures.sweeps import Bar, parallel, scatter, surface, tornado
 
 __all__ = [
     "BEYOND",
     "PIXELS",
     "WIDTH",
     "Band",
+    "Bar",
     "Coefficient",
     "Followed",
     "ParameterEstimate",
@@ -49,15 +51,19 @@ __all__ = [
     "nyquist",
     "order_sweep",
     "over_schedule",
+    "parallel",
     "parameters",
     "parameters_along_time",
     "rates",
     "responses",
+    "scatter",
     "score_dots",
     "signals",
     "similarity",
     "singular_values",
     "sparsity_path",
+    "surface",
     "taken_for",
+    "tornado",
     "widths",
 ]
