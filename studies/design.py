@@ -31,6 +31,7 @@ from workbench.report.page import write_report
 Say = Callable[[str], None]
 LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}  # options of the commands, and what none given means
 POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn
+FROZEN, STEP = 15, 4.0  # schedule values at which one can look at a loop; s of a step response
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 KNOTS = 5
 
@@ -328,7 +329,45 @@ def design_pictures(
         ),
         figures.over_schedule("Gains over the schedule", over, surfaces),
         family,
+        *_frozen(name, law, model),
     )
+
+
+def _frozen(name: str, law: ScheduledPID, model: LPVModel) -> tuple[Block, ...]:
+    """What a loop does at every schedule value: sensitivities over frequency, and steps of each set-point by one unit."""
+    assert model.schedule is not None
+    rho, omega = np.linspace(model.span[0], model.span[1], FROZEN), frequencies(model.dt, 5)
+    opened = np.stack([loops_of(law, model, at, omega) for at in rho])  # (R, N, nu)
+    sensitivities = {}
+    for i, u in enumerate(law.actuated):
+        sensitivities[f"|S| {u}"] = 20.0 * np.log10(np.abs(1.0 / (1.0 + opened[..., i])))
+        sensitivities[f"|T| {u}"] = 20.0 * np.log10(np.abs(opened[..., i] / (1.0 + opened[..., i])))
+    over = figures.Trace(model.schedule, rho)
+    t = model.dt * np.arange(max(2, round(STEP / model.dt)))
+    steps = {f"{y} from {y}_set": np.stack([_step(law, model, at, j, len(t)) for at in rho]) for j, y in enumerate(law.measured)}
+    return (
+        figures.frozen_responses(omega, over, sensitivities, f"Sensitivities at every {model.schedule.name}, {name}", drawn=3),
+        figures.frozen_steps(t, over, steps, f"Steps of the set-points at every {model.schedule.name}, {name}"),
+    )
+
+
+def _step(law: ScheduledPID, model: LPVModel, rho: float, j: int, N: int) -> np.ndarray:
+    """(N,) change of output j of the frozen model when its set-point rises by one unit at the first sample, from rest."""
+    A, B, C, _ = model.freeze(rho)  # a law is designed on models without feedthrough
+    own = [[c.name for c in model.outputs].index(name) for name in law.measured]
+    acts = [[c.name for c in model.inputs].index(name) for name in law.actuated]
+    phi = model.operating_point.basis(np.array(rho))
+    y0, u0 = phi @ model.operating_point.y, phi @ model.operating_point.u
+    r, x, u = y0[own].copy(), np.zeros(len(A)), np.zeros(B.shape[1])
+    state, found = law.init(u0[acts]), np.empty(N)
+    for k in range(-1, N):  # one sample at rest before, so that the law stands where the model does
+        y = C @ x + y0
+        if k >= 0:
+            found[k] = y[own[j]] - y0[own[j]]
+        command, state = law.step(state, r + (k >= 0) * np.eye(len(own))[j], y[own], rho)
+        u[acts] = command - u0[acts]
+        x = A @ x + B @ u
+    return found
 
 
 def _described(model: LPVModel) -> str:

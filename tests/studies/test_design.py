@@ -4,6 +4,7 @@ import csv
 import json
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
@@ -13,12 +14,12 @@ from controllers.pid_design import design_pid
 from controllers.scheduled_pid import BackCalculation, Clamping, Gains
 from plants import WEB_WINDING
 from studies.cli import main
-from studies.design import _limits
+from studies.design import _limits, _step
 from studies.experiments import plan, web_winding_loops
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.identify.ssm import SSM
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term
+from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, load_model
 from workbench.simulate import simulate
 
 
@@ -272,6 +273,22 @@ def test_simulate_holds_set_points_on_the_model_and_on_the_plant(folder, capsys)
     runs = [json.loads((folder / place / "simulate.json").read_text())["runs"][0] for place in ("on-plant", "late")]
     assert runs[0]["tracking"][0]["RMS"] != runs[1]["tracking"][0]["RMS"]
     assert runs[0]["at_limit"] == {"V2": 0.0, "V1": 0.0}
+
+
+def test_steps_of_the_frozen_loop_are_those_of_the_linear_closed_loop(folder):
+    """Python-control closes the law, a linear system of set-points and outputs, around the same frozen model."""
+    law, model = load_controller(folder / "out" / "scheduled-pid.json"), load_model(folder / "m.json")
+    law = replace(law, low=np.full(2, -np.inf), high=np.full(2, np.inf), rate=np.full(2, np.inf))
+    rho = 0.3 * model.span[0] + 0.7 * model.span[1]
+    A, B, C, D = model.freeze(rho)
+    P = control.ss(A, B, C, D, model.dt, inputs=list(law.actuated), outputs=list(law.measured), name="P")
+    whole = control.interconnect([P, law.at(rho)], inputs=list(law.references), outputs=list(law.measured))
+    t = model.dt * np.arange(80)
+    for j in range(2):
+        expected = control.forced_response(whole, t, np.outer(np.eye(2)[j], np.ones(80))).y[j]
+        found = _step(law, model, rho, j, 80)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+        assert found[-1] == pytest.approx(1.0, abs=0.02)
 
 
 def test_simulate_follows_the_run_of_a_file_of_limits(folder, capsys):

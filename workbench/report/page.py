@@ -21,6 +21,8 @@ import numpy as np
 from workbench.files import write_json, write_text
 from workbench.report.archive import content_of
 from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Table, Text
+from workbench.report.explorer import SCRIPT as EXPLORER
+from workbench.report.explorer import kind_of, packed
 from workbench.report.sheet import SCRIPT, STYLE
 from workbench.report.svg import embed, printable
 
@@ -94,7 +96,7 @@ def html_text(report: Report) -> str:
 <div class="verdict">{_paragraphs(report.verdict)}</div></header>
 {chr(10).join(sections)}
 </main>
-<script>{SCRIPT}</script>
+<script>{SCRIPT}{EXPLORER}</script>
 </body>
 </html>
 """
@@ -140,11 +142,15 @@ def _block(block: Block, anchor: str, file: str) -> str:
 
 def _picture(picture: Picture, anchor: str, file: str) -> str:
     drawing = embed(picture.figure_svg, anchor, picture.alt or picture.title, f"{anchor}-caption")
+    kind, text = kind_of(picture.data), csv_text(picture.data)
+    columns = _escape(text[: text.index("\n")])
+    view = f' data-view="{kind}" data-columns="{columns}"' if kind else ""
+    numbers = packed(picture.data) if kind and len(text) > INLINE else ""
     return (
-        f'<figure id="{anchor}"><h3>{_escape(picture.title)}</h3>\n'
+        f'<figure id="{anchor}"{view}><h3>{_escape(picture.title)}</h3>\n'
         f'<div class="picture">{drawing}</div>\n'
         f'<figcaption><span id="{anchor}-caption">{_escape(picture.caption)}</span>&ensp;'
-        f"{_download(picture.data, file)}</figcaption></figure>"
+        f"{_download(picture.data, text, file)}</figcaption>{numbers}</figure>"
     )
 
 
@@ -158,7 +164,8 @@ def _table(table: Table, anchor: str, file: str) -> str:
         f'<div class="table" id="{anchor}"><h3 id="{anchor}-title">{_escape(table.title)}</h3>\n'
         f'<div class="scroll" role="region" tabindex="0" aria-labelledby="{anchor}-title"><table>'
         f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>\n"
-        f'<p class="caption">{_escape(table.caption)}{"&ensp;" * bool(table.caption)}{_download(table.data, file)}</p></div>'
+        f'<p class="caption">{_escape(table.caption)}{"&ensp;" * bool(table.caption)}'
+        f"{_download(table.data, csv_text(table.data), file)}</p></div>"
     )
 
 
@@ -237,8 +244,7 @@ def _flat(content: Mapping[str, object], path: str = "") -> Iterator[tuple[str, 
             yield name, str(value)
 
 
-def _download(data: Data, file: str) -> str:
-    text = csv_text(data)
+def _download(data: Data, text: str, file: str) -> str:
     what = f"{len(data.columns)} columns \N{MULTIPLICATION SIGN} {len(data.columns[0].values) if data.columns else 0} rows"
     if len(text) > INLINE:
         link = f'<a href="data/{file}" download="{file}" title="{what}">CSV, beside this page</a>'

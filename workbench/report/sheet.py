@@ -1,4 +1,4 @@
-"""The style and the script of the page; the page works without the script, which only enlarges pictures."""
+"""The style of the page, and the script that enlarges pictures; the page works without scripts."""
 
 from workbench.report.palette import COLOURS
 
@@ -58,11 +58,25 @@ td strong{{font-weight:700;color:var(--accent)}}
 .provenance td{{overflow-wrap:anywhere;font-size:.82rem;
  font-family:ui-monospace,"SF Mono",Consolas,"DejaVu Sans Mono",monospace}}
 .provenance th[scope=row]{{color:var(--muted);white-space:nowrap}}
+button[hidden]{{display:none}}
 button{{font:inherit;font-weight:600;color:var(--accent);background:none;border:0;padding:0;margin-left:.9em;cursor:pointer}}
 dialog{{width:96vw;max-width:none;max-height:96vh;border:0;border-radius:8px;padding:1.25rem;background:var(--paper);color:var(--ink)}}
 dialog svg{{display:block;width:100%;max-height:84vh;min-width:0}}
 dialog::backdrop{{background:rgb(0 0 0/.6)}}
 dialog button{{display:block;margin:0 0 .5rem auto}}
+.explorer canvas{{display:block;width:100%;touch-action:pan-y;cursor:crosshair;border-radius:2px}}
+.explorer canvas:focus-visible{{outline:2px solid var(--accent);outline-offset:2px}}
+.explorer output{{display:block;min-height:2.9em;font-size:.85rem;font-variant-numeric:tabular-nums;color:var(--ink)}}
+.explorer .controls,.explorer .series{{display:flex;flex-wrap:wrap;gap:.35rem;align-items:center;margin:.2rem 0 .5rem;
+ font-size:.85rem}}
+.explorer button{{margin:0;padding:.15rem .6rem;border:1px solid var(--grid);border-radius:4px}}
+.explorer .series button{{color:var(--ink);font-weight:400}}
+.explorer .series button::before{{content:"";display:inline-block;width:1.1em;height:.2em;margin-right:.45em;
+ vertical-align:middle;background:var(--own)}}
+.explorer .series button[aria-pressed=false]{{opacity:.45;text-decoration:line-through}}
+.explorer label{{display:inline-flex;gap:.4rem;align-items:center;color:var(--muted);margin-left:.5rem}}
+.explorer select,.explorer input{{font:inherit;color:var(--ink);background:var(--card);border:1px solid var(--grid);
+ border-radius:4px}}
 @media (max-width:66rem){{
  body{{display:block;max-width:58rem;padding:0 1.1rem 3rem}}
  nav{{position:static;max-height:none;padding:1rem 0 0}}

@@ -18,7 +18,7 @@ from workbench.report.figures.modes import (
 )
 from workbench.report.figures.rates import Rates, rates, taken_for
 from workbench.report.figures.robustness import beside_limits, guaranteed
-from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses
+from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses, frozen_steps
 from workbench.report.figures.scores import score_dots
 from workbench.report.figures.simulation import measured_and_simulated, responses
 from workbench.report.figures.sweeps import Bar, parallel, scatter, surface, tornado
@@ -42,6 +42,7 @@ __all__ = [
     "domains",
     "envelope",
     "frozen_responses",
+    "frozen_steps",
     "guaranteed",
     "left_over",
     "measured_and_simulated",

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 import workbench.report.figures.canvas as canvas
+from workbench.data import Channel
 from workbench.records import RecordError, record
 from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
@@ -53,43 +54,60 @@ def coefficient_functions(rho: Trace, coefficients: Mapping[str, Coefficient]) -
     )
 
 
-def frozen_responses(omega: np.ndarray, rho: Trace, magnitude: Mapping[str, np.ndarray], title: str) -> Picture:
-    """Frozen magnitude responses [dB] over frequency [rad/s], one panel for each value of the schedule.
+def frozen_responses(
+    omega: np.ndarray, rho: Trace, magnitude: Mapping[str, np.ndarray], title: str, *, drawn: int = 9
+) -> Picture:  # fmt: skip
+    """Frozen magnitude responses [dB] over frequency [rad/s], a panel for each value of the schedule, `drawn` of them at most.
 
     magnitude: (number of schedule values, number of frequencies) by name; the first is drawn in ink, as the reference.
     """
-    omega = np.asarray(omega, float)
-    shape = (len(rho.values), len(omega))
-    for name, values in magnitude.items():
+    x = Trace(Channel("omega", "rad/s"), np.asarray(omega, float))
+    return _family(x, "\N{GREEK SMALL LETTER OMEGA} [rad/s]", rho, magnitude, ("magnitude", "dB"), title, drawn)
+
+
+def frozen_steps(t: np.ndarray, rho: Trace, responses: Mapping[str, np.ndarray], title: str, *, drawn: int = 3) -> Picture:
+    """Responses (number of schedule values, N) over time t (N) [s] with the schedule frozen, at most `drawn` panels of them."""
+    return _family(Trace(Channel("t", "s"), np.asarray(t, float)), "t [s]", rho, responses, ("response", ""), title, drawn)
+
+
+def _family(
+    x: Trace, xlabel: str, rho: Trace, curves: Mapping[str, np.ndarray], of: tuple[str, str], title: str, drawn: int
+) -> Picture:  # fmt: skip
+    """Curves (R, K) over x (K) at R schedule values; the numbers behind it are of all, of what is drawn there may be fewer."""
+    shape, (what, unit) = (len(rho.values), len(x.values)), of
+    for name, values in curves.items():
         if np.shape(values) != shape:
-            raise RecordError(f"frozen_responses, {name}: shape {np.shape(values)}, expected {shape}")
-    colours = [INK, *(canvas.colour(j) for j in range(len(magnitude) - 1))]
+            raise RecordError(f"{title}, {name}: shape {np.shape(values)}, expected {shape}")
+    colours = [INK, *(canvas.colour(j) for j in range(len(curves) - 1))]
+    chosen = np.unique(np.linspace(0, shape[0] - 1, min(drawn, shape[0])).round().astype(int))
     with canvas.style():
-        figure, panels = canvas.panels(shape[0], "\N{GREEK SMALL LETTER OMEGA} [rad/s]", sharey=True)
+        figure, panels = canvas.panels(len(chosen), xlabel, sharey=True)
         handles = []
-        for i, (axes, at) in enumerate(zip(panels, rho.values, strict=True)):
+        for axes, i in zip(panels, chosen.tolist(), strict=True):
             handles = [
                 canvas.line(
-                    axes, omega, np.asarray(values)[i], colour, f"frozen-{i}-{j}", dash=canvas.DASHES[min(j, 1)], width=1.3
+                    axes, x.values, np.asarray(values)[i], colour, f"frozen-{i}-{j}", dash=canvas.DASHES[min(j, 1)], width=1.3
                 )
-                for j, (values, colour) in enumerate(zip(magnitude.values(), colours, strict=True))
+                for j, (values, colour) in enumerate(zip(curves.values(), colours, strict=True))
             ]
-            axes.set_xscale("log")
-            axes.set_title(f"{canvas.short(rho.channel.name)} = {at:.4g} {printable(rho.channel.unit)}".rstrip())
-            canvas.log_ticks(axes, axis="x")
-        figure.supylabel("magnitude [dB]", color=MUTED.light, fontsize=8.5)
-        canvas.legend(figure, handles, list(magnitude))
+            axes.set_title(f"{canvas.short(rho.channel.name)} = {rho.values[i]:.4g} {printable(rho.channel.unit)}".rstrip())
+            if x.channel.unit == "rad/s":
+                axes.set_xscale("log")
+                canvas.log_ticks(axes, axis="x")
+        figure.supylabel(f"{what} [{unit}]" if unit else what, color=MUTED.light, fontsize=8.5)
+        canvas.legend(figure, handles, list(curves))
         svg = canvas.render(figure)
     R, K = shape
-    columns = [Column("omega", np.tile(omega, R), "rad/s")]
+    columns = [Column(x.channel.name, np.tile(x.values, R), x.channel.unit)]
     columns += [Column(rho.channel.name, np.repeat(rho.values, K), rho.channel.unit)]
-    columns += [Column(name, np.ravel(values), "dB") for name, values in magnitude.items()]
+    columns += [Column(name, np.ravel(values), unit) for name, values in curves.items()]
+    names, some = ", ".join(curves), f", {len(chosen)} of them drawn" * (len(chosen) < R)
     return Picture(
         title,
         svg,
-        f"Magnitude of the response with {rho.channel.name} frozen at {R} values: {', '.join(magnitude)}.",
+        f"{what.capitalize()} with {rho.channel.name} frozen at {R} values{some}: {names}. Explore turns {rho.channel.name}.",
         Data(title, tuple(columns)),
-        f"Bode magnitude charts at {R} frozen values of {rho.channel.name}: {', '.join(magnitude)}",
+        f"Charts of the {what} at {len(chosen)} frozen values of {rho.channel.name}: {names}",
     )
 
 
