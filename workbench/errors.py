@@ -32,8 +32,10 @@ def check_known(kind: str, name: str, known: Iterable[str], *, file: object = No
     Of channels as short as `w3` every other one is near: there only another case or a letter too many counts as a slip.
     """
     known = list(known)
-    if name in known:
+    if isinstance(name, str) and name in known:
         return name
+    if not isinstance(name, str):  # what a file holds may be anything
+        raise InputError(f"{kind} {name!r} is no name", file=file, mend=f"known: {', '.join(known)}")
     near = [other for other in known if other.lower() == name.lower()]
     near += [other for other in known if other and name.startswith(other)]
     if not near and (len(name) > 3 or kind != "channel"):

@@ -54,9 +54,14 @@ def read_text(path: str | Path) -> str:
 def read_json(path: str | Path) -> Any:
     """Read a JSON file; a broken one is refused with its line."""
     try:
-        return json.loads(read_text(path))
+        return json.loads(read_text(path), parse_int=_whole)
     except json.JSONDecodeError as reason:
         raise InputError(f"not JSON: {reason.msg}", file=path, line=reason.lineno, mend="is the file whole?") from None
+
+
+def _whole(text: str) -> int | float:
+    """An integer, or infinity of this sign where no float could hold it."""
+    return int(text) if len(text) < 300 else float(text)
 
 
 def user_cache(name: str) -> Path | None:

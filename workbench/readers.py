@@ -10,12 +10,15 @@ import codecs
 import io
 import math
 import re
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from workbench import loadmat
 from workbench.data import BadStamp, Channel, Dataset, Experiment, Role, bad_stamps
 from workbench.errors import InputError
 from workbench.files import write_text
@@ -478,24 +481,22 @@ def _read_mat(path: Path) -> Experiment:
 
 def _variables(path: Path) -> dict[str, np.ndarray]:
     """Real numeric variables by name, vectors as one column (N, 1)."""
-    from scipy.io import loadmat
-
     with open(path, "rb") as stream:
         start = stream.read(520)
     if b"MATLAB 7.3" in start or b"\x89HDF" in start:
         raise InputError("is a MAT file of version 7.3", file=path, mend="save it in MATLAB with save(..., '-v7')")
-    try:
-        content = loadmat(path)
-    except Exception as reason:  # loadmat lets a dozen kinds of error out of a broken file
+    words = [sys.executable, "-I", str(Path(loadmat.__file__)), str(path)]
+    done = subprocess.run(words, capture_output=True, check=False)
+    if done.returncode:
+        reason = (
+            done.stderr.decode(errors="replace").strip().splitlines()[-1:] if done.returncode > 0 else ["crash of its reader"]
+        )
         raise InputError(
-            f"cannot be read as a MAT file ({type(reason).__name__})", file=path, mend="is the file whole? save with -v7"
-        ) from None
-    variables = {}
-    for name, array in content.items():
-        if isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "buif" and not name.startswith("__"):
-            column = array.reshape(-1, 1) if 1 in array.shape else array
-            variables[name] = np.asarray(column, float)
-    return variables
+            f"cannot be read as a MAT file ({', '.join(reason)})", file=path, mend="is the file whole? save with -v7"
+        )
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as content:
+        arrays = {str(name): content[f"arr_{i}"] for i, name in enumerate(content["arr_0"], 1)}
+    return {name: array.reshape(-1, 1) if 1 in array.shape else array for name, array in arrays.items()}
 
 
 def _time_vector(path: Path, variables: Mapping[str, np.ndarray]) -> np.ndarray:

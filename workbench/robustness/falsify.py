@@ -28,7 +28,7 @@ from workbench.files import read_json, write_json
 from workbench.physics import stepper
 from workbench.physics.controller import Controller, Stepped
 from workbench.physics.plant import EffectSizes, Plant
-from workbench.records import field, record
+from workbench.records import RecordError, field, record
 from workbench.robustness.limits import BOUNDS, RANGE, Excess, Limit, resolved, setpoint_of
 from workbench.simulate import LeftRangeError, Run, Scenario, simulate, simulate_batch
 
@@ -715,14 +715,17 @@ def load_counterexample(path: str | Path) -> Counterexample:
         raise InputError("sample, substeps or seed out of range", file=path, mend=AGAIN)
     bounds = {name: _number(path, f"limit, {name}", limit[name]) for name in LIMIT_NUMBERS if name in limit}
     lost = content["bound"] == RANGE
-    return Counterexample(
-        content["plant"], content["base"], _number(path, "dt", content.get("dt")), content["controller"], scenario,
-        content["bumpless"], content["substeps"], _numbers(path, "parameters", content["parameters"]),
-        {key: _numbers(path, key, numbers) for key, numbers in content["effects"].items()},
-        Limit(limit["signal"], unit=limit["unit"], **bounds), content["bound"],
-        np.inf if lost else _number(path, "excess", content.get("excess")), content["sample"],
-        np.nan if lost else _number(path, "value", content.get("value")),
-    )  # fmt: skip
+    try:
+        return Counterexample(
+            content["plant"], content["base"], _number(path, "dt", content.get("dt")), content["controller"], scenario,
+            content["bumpless"], content["substeps"], _numbers(path, "parameters", content["parameters"]),
+            {key: _numbers(path, key, numbers) for key, numbers in content["effects"].items()},
+            Limit(limit["signal"], unit=limit["unit"], **bounds), content["bound"],
+            np.inf if lost else _number(path, "excess", content.get("excess")), content["sample"],
+            np.nan if lost else _number(path, "value", content.get("value")),
+        )  # fmt: skip
+    except RecordError as reason:
+        raise InputError(str(reason), file=path, mend=AGAIN) from None
 
 
 def _expect(path: str | Path, name: str, value: Any, kind: type) -> None:

@@ -64,7 +64,7 @@ class UncertainLoop:
 
     def __post_init__(self):
         q = self.B.shape[1]
-        if np.any((self.channel % 1 != 0) | (self.channel >= q)):
+        if not np.isin(self.channel, np.arange(q)).all():
             raise InputError(f"channel must be an integer from 0 to {q - 1}", file="UncertainLoop")
         if self.parameters and len(self.parameters) != len(self.lam):
             raise InputError(f"{len(self.parameters)} names for {len(self.lam)} parameters", file="UncertainLoop")

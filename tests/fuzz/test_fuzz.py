@@ -1,0 +1,55 @@
+"""Spoilt files never end in anything but a refusal in words, and that soon.
+
+`python -m tests.fuzz.run SECONDS` goes on where these examples end.
+"""
+
+import tempfile
+from pathlib import Path
+from random import Random
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.fuzz.spoil import spoilt
+from tests.fuzz.targets import targets
+
+NAMES = ("csv", "mat", "limits", "sweep", "model", "pid", "mpc", "extension", "diagnosis", "counterexample", "sequence", "report")
+
+
+@pytest.fixture(scope="module")
+def every():
+    with tempfile.TemporaryDirectory() as folder:
+        yield targets(Path(folder))
+
+
+def test_every_target_reads_its_whole_file(every, tmp_path):
+    assert tuple(every) == NAMES
+    for name, target in every.items():
+        path = tmp_path / f"{name}{target.ending}"
+        path.write_bytes(target.seed)
+        assert target.read(path) is not None
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=100, deadline=10_000, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**48))
+def test_a_spoilt_file_is_read_or_refused(every, name, seed):
+    if name == "mat" and seed % 4:
+        return  # it is read by a process of its own: as many would take a minute
+    target, random = every[name], Random(seed)
+    for _ in range(3):
+        with tempfile.TemporaryDirectory() as folder:
+            target.tried(Path(folder), spoilt(target.seed, target.ending, random))
+
+
+def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
+    from workbench import readers
+    from workbench.errors import InputError
+
+    killer = tmp_path / "killer.py"
+    killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    monkeypatch.setattr(readers.loadmat, "__file__", str(killer))
+    (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0")
+    with pytest.raises(InputError, match=r"(?s)cannot be read as a MAT file \(crash of its reader\).*is the file whole"):
+        readers.read(tmp_path / "a.mat")
