@@ -190,17 +190,14 @@ def split_estimation(dataset: Dataset, known: Iterable[str]) -> tuple[Dataset, D
 
 def run_folder(out: str | None, command: str) -> Path:
     """The folder for a run's results: the one asked for, or a new one under runs/."""
-    if out is None:
-        stem = f"{command}-{datetime.now():%Y%m%d-%H%M%S}"
-        folder = Path("runs") / stem
-        for i in range(2, 1000):
-            if not folder.exists():
-                break
-            folder = Path("runs") / f"{stem}-{i}"
-    else:
-        folder = Path(out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as reason:
-        raise InputError(f"cannot make the folder: {reason.strerror}", file=folder, mend="choose another --out") from None
-    return folder
+    stem = f"{command}-{datetime.now():%Y%m%d-%H%M%S}"
+    tried = [Path("runs") / (stem if i == 1 else f"{stem}-{i}") for i in range(1, 1000)] if out is None else [Path(out)]
+    for folder in tried:
+        try:
+            folder.mkdir(parents=True, exist_ok=out is not None)  # who comes first has it
+        except OSError as reason:
+            if out is None and isinstance(reason, FileExistsError):
+                continue
+            raise InputError(f"cannot make the folder: {reason.strerror}", file=folder, mend="choose another --out") from None
+        return folder
+    raise InputError("a thousand runs in one second", file="runs", mend="choose --out")
