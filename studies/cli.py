@@ -1,10 +1,14 @@
+# PYTHON_ARGCOMPLETE_OK
 """The command line. Commands import what they need when they run: help must not wait for a compiler."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import NoReturn
+from typing import Any, NoReturn
+
+from studies import STUDIES
 
 DONE, NEGATIVE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 PLANT_HELP = "machine of the workbench, package.module:NAME, file.py:NAME, model (m.json) or plant file (NAME+extended.json)"
@@ -272,12 +276,13 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--title", metavar="TEXT", help="of a page of several runs (default: their names)")
 
     sub = command("study", "run a study and write its report", "example:\n  workbench study web-winding")
-    sub.add_argument(
+    study: Any = sub.add_argument(
         "study",
         metavar="STUDY",
         help="web-winding (the whole chain), winding-models, "
         "welding-robot, emps, winding-records, hidden-effects, controller-comparison, robust-winding",
     )
+    study.completer = lambda **_: list(STUDIES)
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
     sub.add_argument("--seed", type=_seed, default=1, help="seed of the simulated records (default 1)")
     sub.add_argument("--quick", action="store_true", help="fewer candidates; for a first look")
@@ -326,7 +331,12 @@ def _interval_options(sub: argparse.ArgumentParser) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; 0 done, 1 the answer is negative, 2 bad input (with the place and the mend), 130 interrupted."""
-    options = parser().parse_args(arguments)
+    words = parser()
+    if "_ARGCOMPLETE" in os.environ:  # the shell asks what could stand here; does not return
+        import argcomplete
+
+        argcomplete.autocomplete(words)
+    options = words.parse_args(arguments)
     try:
         from studies import commands
         from workbench.errors import InputError

@@ -1,6 +1,7 @@
 """Every command as a person would call it: right, and wrong."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -247,3 +248,20 @@ def test_mistakes_in_an_own_plant_are_named(capsys, records, tmp_path):
         assert wrong in good
         plant.write_text(good.replace(wrong, right))
         assert said in refused(capsys, "simulate", f"{plant}:MOTOR", "--inputs-from", str(record), "--out", str(tmp_path / "o"))
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("workbench stu", {"study"}),
+        ("workbench simulate web-winding --exp", {"--experiment"}),
+        ("workbench study web", {"web-winding"}),
+    ],
+)
+def test_the_shell_is_told_what_could_stand_there(tmp_path, typed, offered):
+    told = tmp_path / "told"
+    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(told), "COMP_LINE": typed, "COMP_POINT": str(len(typed))}
+    root = Path(__file__).resolve().parents[2]
+    environment = os.environ | asked | {"PYTHONPATH": str(root), "_ARGCOMPLETE_SUPPRESS_SPACE": "1", "_ARGCOMPLETE_IFS": "\n"}
+    subprocess.run([sys.executable, "-m", "studies.cli"], env=environment, check=False, capture_output=True)
+    assert {line.strip() for line in told.read_text().splitlines()} == offered
