@@ -418,7 +418,7 @@ def load_model(path) -> LPVModel:
         return model_from_dict(content)
     except KeyError as reason:
         raise InputError(f"field {reason.args[0]!r} is missing", file=path, mend="write the model again") from None
-    except (TypeError, ValueError) as reason:
+    except (TypeError, ValueError, OverflowError) as reason:
         raise InputError(f"malformed model: {reason}", file=path, mend="write the model again") from None
 
 

@@ -3,6 +3,7 @@
 `python -m tests.fuzz.run SECONDS` goes on where these examples end.
 """
 
+import json
 import tempfile
 from pathlib import Path
 from random import Random
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 
 from tests.fuzz.spoil import spoilt
 from tests.fuzz.targets import targets
+from workbench import readers
+from workbench.errors import InputError
 
 NAMES = ("csv", "mat", "limits", "sweep", "model", "pid", "mpc", "extension", "diagnosis", "counterexample", "sequence", "report")
 
@@ -43,10 +46,17 @@ def test_a_spoilt_file_is_read_or_refused(every, name, seed):
             target.tried(Path(folder), spoilt(target.seed, target.ending, random))
 
 
-def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
-    from workbench import readers
-    from workbench.errors import InputError
+def test_an_infinite_place_in_a_model_is_a_refusal(every, tmp_path):
+    """What 15 000 spoilt files have found: a number beyond all floats where an index stands."""
+    content = json.loads(every["model"].seed)
+    content["terms"][0]["function"] = 10**400
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="malformed model"):
+        every["model"].read(path)
 
+
+def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
     killer = tmp_path / "killer.py"
     killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
     monkeypatch.setattr(readers.loadmat, "__file__", str(killer))

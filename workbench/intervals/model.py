@@ -402,7 +402,7 @@ def load_interval_model(path) -> IntervalModel:
         return interval_model_from_dict(content, path)
     except KeyError as reason:
         _malformed(f"field {reason.args[0]!r} is missing", path)
-    except (TypeError, ValueError, AttributeError) as reason:
+    except (TypeError, ValueError, AttributeError, OverflowError) as reason:
         if isinstance(reason, InputError) and reason.file is not None:
             raise
         _malformed(f"malformed model: {reason}", path)

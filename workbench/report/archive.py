@@ -67,7 +67,7 @@ def read_report(folder: str | Path) -> Report:
     try:
         sections = [Section(s["title"], tuple(_block(b, path.parent) for b in s["blocks"])) for s in content["sections"]]
         return Report(content["title"], content["verdict"], tuple(sections))
-    except (KeyError, TypeError, ValueError, AttributeError) as reason:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as reason:
         raise InputError(f"is damaged: {reason!r}", file=path, mend="run the command again that wrote it") from None
 
 

@@ -146,7 +146,7 @@ def load_sequence(path: str | Path) -> Witness:
         return _growth(content) if content["kind"] == "growth" else _broken(content, path)
     except KeyError as reason:
         _malformed(f"field {reason.args[0]!r} is missing", path)
-    except (TypeError, ValueError, AttributeError, IndexError) as reason:
+    except (TypeError, ValueError, AttributeError, IndexError, OverflowError) as reason:
         if isinstance(reason, InputError) and reason.file is not None:
             raise
         _malformed(f"malformed: {reason}", path)
