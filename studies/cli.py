@@ -4,13 +4,14 @@
 import argparse
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from studies import STUDIES
 
-DONE, NEGATIVE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, NEGATIVE, BAD_INPUT, CRASHED, INTERRUPTED = 0, 1, 2, 70, 130
 PLANT_HELP = "machine of the workbench, package.module:NAME, file.py:NAME, model (m.json) or plant file (NAME+extended.json)"
 
 
@@ -353,4 +354,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    try:
+        raise SystemExit(main())
+    except Exception:  # an uncaught one would end with 1, which is the answer no
+        traceback.print_exc()
+        raise SystemExit(CRASHED) from None

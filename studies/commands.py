@@ -576,6 +576,10 @@ def report(options: Namespace) -> int:
     else:
         said = "\n\n".join(f"{key}: {own.verdict.split(chr(10) * 2)[0]}" for key, own in parts.items())
         page = joined(options.title or ", ".join(parts), said, parts)
+    if len(parts) > 1 and options.out and Path(options.out).resolve() in {own.resolve() for own in folders}:
+        raise InputError(
+            "is the folder of one of these runs, whose page it would replace", file=options.out, mend="another --out"
+        )
     folder = folders[0] if len(parts) == 1 and not options.out else run_folder(options.out, "report")
     say(f"report: {write_report(page, folder)}")
     if options.json:

@@ -21,7 +21,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 
 from workbench.errors import InputError
@@ -34,7 +34,7 @@ Say = Callable[[str], None]
 MARK = "stage.json"  # in the folder of a stage; written last
 BEGUN = ".begun"  # in the folder of a stage that is not whole
 CACHED = 60  # stages in the user's cache
-ANSWERS = (0, 1)  # exit codes of a command that has given one
+DONE, NEGATIVE = 0, 1  # exit codes of a command that has given an answer; only a check can say no
 
 
 @record
@@ -98,8 +98,10 @@ def run_stages(
 
 
 def _one(stage: Stage, folder: Path, cached: bool, progress: Say, stop: threading.Event) -> Done:
+    if stop.is_set():
+        raise InterruptedError(stage.name)
     key, own = _key(stage, folder), folder / stage.name
-    if (kept := _whole(stage, own, key)) is not None:
+    if cached and (kept := _whole(stage, own, key)) is not None:
         return kept
     _cleared(own)
     store = user_cache("stages") if cached else None
@@ -115,8 +117,10 @@ def _one(stage: Stage, folder: Path, cached: bool, progress: Say, stop: threadin
     code, said = _ran(stage, folder, progress, stop)
     seconds = time.perf_counter() - begin
     note = {"key": key, "command": stage.command, "code": code, "said": said, "seconds": seconds}
+    if _key(stage, folder) != key:
+        raise InputError(f"what {stage.name} reads has changed while it ran", file=folder, mend="run again")
+    write_json(own / MARK, note | {"files": {str(p.relative_to(own)): sha256(p) for p in _files(own)}})
     (own / BEGUN).unlink()
-    write_json(own / MARK, note | {"files": [str(p.relative_to(own)) for p in _files(own)]})
     if store:
         _stored(own, store, key)
     return Done(stage, own, code, tuple(said), seconds, fresh=True)
@@ -129,7 +133,6 @@ def _key(stage: Stage, folder: Path) -> str:
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:32]
 
 
-@cache
 def _program() -> str:
     """Hash of the source of this program."""
     root, found = Path(__file__).resolve().parents[1], hashlib.sha256()
@@ -145,9 +148,14 @@ def _whole(stage: Stage, own: Path, key: str) -> Done | None:
         note = read_json(own / MARK) if (own / MARK).is_file() else {}
     except InputError:
         return None  # cut short by a full disk: it runs again
-    if note.get("key") != key or not all((own / name).is_file() for name in note["files"]):
+    try:
+        whole = note["key"] == key and not (own / BEGUN).exists()
+        whole = whole and all(
+            (own / name).is_file() and sha256(own / name) == own_hash for name, own_hash in note["files"].items()
+        )
+        return Done(stage, own, int(note["code"]), tuple(note["said"]), float(note["seconds"]), fresh=False) if whole else None
+    except (TypeError, KeyError, AttributeError, ValueError):
         return None
-    return Done(stage, own, note["code"], tuple(note["said"]), note["seconds"], fresh=False)
 
 
 def _files(own: Path) -> tuple[Path, ...]:
@@ -155,13 +163,25 @@ def _files(own: Path) -> tuple[Path, ...]:
 
 
 def _cleared(own: Path) -> None:
-    """An empty folder for a stage, marked as begun; what an earlier run has left there goes, what is not ours stays."""
-    if own.exists() and any(own.iterdir()):
-        if not ((own / MARK).is_file() or (own / BEGUN).is_file()):
-            raise InputError("holds files that no stage of a study has written", file=own, mend="choose another --out folder")
+    """An empty folder for a stage, marked as begun; what an earlier run has left there goes, what is not ours is refused."""
+    if own.exists() and not (own / BEGUN).is_file():
+        listed = _listed(own)
+        foreign = [] if listed is None else [p.name for p in _files(own) if str(p.relative_to(own)) not in listed]
+        if foreign:
+            said = f"holds files that no stage of a study has written: {', '.join(foreign[:3])}"
+            raise InputError(said, file=own, mend="move them, or choose another --out folder")
+    if own.exists():
         shutil.rmtree(own)
     own.mkdir(parents=True, exist_ok=True)
     (own / BEGUN).touch()
+
+
+def _listed(own: Path) -> set[str] | None:
+    """The files that the mark of a stage names; None where it is damaged."""
+    try:
+        return set(read_json(own / MARK)["files"]) if (own / MARK).is_file() else set()
+    except (InputError, TypeError, KeyError):
+        return None
 
 
 def _ran(stage: Stage, folder: Path, progress: Say, stop: threading.Event) -> tuple[int, list[str]]:
@@ -197,7 +217,7 @@ def _ran(stage: Stage, folder: Path, progress: Say, stop: threading.Event) -> tu
             listening.join()
         out.seek(0)
         said = out.read().splitlines()
-    if process.returncode not in ANSWERS:
+    if process.returncode != DONE and not (process.returncode == NEGATIVE and stage.words[0] == "check"):
         reason = "\n".join(told[-12:]) or f"it ended with exit code {process.returncode}"
         raise InputError(f"{stage.command} did not give an answer:\n{reason}", file=folder, mend="mend that, and run again")
     return process.returncode, said

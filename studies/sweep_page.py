@@ -62,7 +62,7 @@ def _depends(indices: Sequence[Index], outputs: Sequence[str]) -> list[str]:
     """What matters most for each output, in words."""
     said = []
     for name in outputs:
-        own = sorted((i for i in indices if i.output == name), key=lambda i: -abs(i.value))
+        own = sorted((i for i in indices if i.output == name), key=lambda i: -i.weight)
         if own:
             first = own[0]
             number = f"{KINDS[first.kind][0]} {first.value:.3g} {first.unit}".rstrip()
@@ -95,7 +95,7 @@ def _of_output(sweep: Sweep, found: Rows, indices: Sequence[Index], name: str) -
             figures.scatter(f"{name} of every run", list(traces.values()), output, f"{name} over each factor, a dot for a run.")
         )
     if own:
-        factors.sort(key=lambda n: -max((abs(i.value) for i in own if i.factor == n), default=0.0))
+        factors.sort(key=lambda n: -max((i.weight for i in own if i.factor == n), default=0.0))
     if len(factors) > 1:
         x, y = factors[:2]
         fitted = response_surface({n: numbers[n] for n in factors}, numbers[name])

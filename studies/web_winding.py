@@ -19,7 +19,7 @@ from studies.arguments import record_files, split_estimation
 from studies.stages import Done, Stage, run_stages
 from workbench.data import Experiment
 from workbench.errors import InputError
-from workbench.files import read_json, write_json, write_text
+from workbench.files import read_json, read_text, write_json, write_text
 from workbench.metrics import tracking
 from workbench.provenance import provenance
 from workbench.readers import check_units, read, read_all
@@ -191,8 +191,8 @@ def _limits(folder: Path, data: str | None, split: Split) -> dict[str, float]:
     """Write limits.toml, the user's own where there is one; returns the set-points that its run begins with."""
     own = Path(data) / "limits.toml" if data else None
     if own and own.is_file():
-        write_text(folder / "limits.toml", own.read_text(encoding="utf-8"))
-    else:
+        write_text(folder / "limits.toml", read_text(own))
+    elif not (folder / "limits.toml").exists():  # one that is there may be the user's by now
         w3, theta = 100.0, 0.0
         if data:
             first = [read(folder / path) for path in split.estimation]
@@ -254,12 +254,25 @@ def verdict(folder: Path, done: Mapping[str, Done], hidden: Hidden | None) -> st
     ]
     if not hidden:
         return " ".join(said)
-    named = [f"{c['effect']}@{c['at']}" for c in found["causes"]]
-    held = [key for c in found["causes"] for key in (f"{c['effect']}@{c['at']}", *c["ties"])]
-    right = "what the diagnosis names" if named == [hidden.effect] else "among what the diagnosis cannot tell apart"
-    right = right if hidden.effect in held else "not what the diagnosis says"
-    revealed = f"The records are simulated. Hidden in them was {hidden.effect}, {hidden.parameter} {hidden.size:.3g}: {right}."
-    return f"{' '.join(said)}\n\n{revealed}"
+    revealed = f"The records are simulated. Hidden in them was {hidden.effect}, {hidden.parameter} {hidden.size:.3g}: "
+    return f"{' '.join(said)}\n\n{revealed}{judged(found, hidden)}."
+
+
+def judged(found: Mapping[str, Any], hidden: Hidden) -> str:
+    """What a diagnosis says of what was hidden: named alone or beside others, with its size or not, tied, or missed."""
+    named = {f"{c['effect']}@{c['at']}": c for c in found["causes"]}
+    tied = {key for c in found["causes"] for key in c["ties"]}
+    if hidden.effect in named:
+        own = named[hidden.effect]
+        sizes = [p for name, p in own["parameters"].items() if name in (hidden.parameter, "amplitude")]
+        inside = any(p["low"] <= hidden.size <= p["high"] for p in sizes)
+        said = f"the diagnosis names it, {'its size inside' if inside else 'its size NOT inside'} the 95 % interval"
+        said += ", with rivals that it cannot tell from it" * bool(own["ties"])
+        others = [key for key in named if key != hidden.effect]
+        return said + (f", and names {', '.join(others)} beside it, which was not there" if others else "")
+    if hidden.effect in tied:
+        return "the diagnosis names another effect, and says that it cannot tell the two apart"
+    return "the diagnosis does not find it"
 
 
 def _lacks_said(found: Mapping[str, Any]) -> str:
@@ -293,12 +306,17 @@ def _models_said(scores: Mapping[str, Any]) -> str:
     spans, worst = {}, {}
     for model in scores["models"]:
         own = [s for s in model["scores"] if s["split"] == "held-out" and s["horizon"] == "free-run"]
-        fits = {y: [s["FIT"] for s in own if s["output"] == y] for y in dict.fromkeys(s["output"] for s in own)}
+        fits = {y: [_fit(s) for s in own if s["output"] == y] for y in dict.fromkeys(s["output"] for s in own)}
         ranges = [f"{y} {min(fit):.0f}" + f" to {max(fit):.0f}" * (len(fit) > 1) + " %" for y, fit in fits.items()]
         spans[model["model"]], worst[model["model"]] = ", ".join(ranges), min(min(fit) for fit in fits.values())
     best = max(worst, key=lambda name: worst[name])
     others = f", best of {', '.join(spans)}" if len(spans) > 1 else ""
     return f"{best} follows held-out records with a free-run FIT of {spans[best]}{others}."
+
+
+def _fit(score: Mapping[str, Any]) -> float:
+    """A free run that ran away has none in the file."""
+    return -np.inf if score["FIT"] is None else score["FIT"]
 
 
 def _tracked(run: Experiment) -> dict[str, tuple[float, str]]:

@@ -10,6 +10,7 @@ from workbench.files import sha256
 
 PACKAGES = (
     "gain-scheduling-workbench", "numpy", "scipy", "control", "casadi", "numba", "cvxpy", "clarabel", "daqp", "highspy", "cma",
+    "SALib",
 )  # fmt: skip
 
 

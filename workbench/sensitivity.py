@@ -38,6 +38,11 @@ class Index:
     unit: str = ""
     beside: float = float("nan")
 
+    @property
+    def weight(self) -> float:
+        """What factors are ordered by: a share of the variance with all that it acts together with, else the size."""
+        return max(self.beside, 0.0) if self.kind == "S" else abs(self.value)
+
 
 def sensitivity(sweep: Sweep, found: Rows) -> tuple[Index, ...]:
     """An index for every output and factor that has one. Raises InputError where runs of a Morris or Sobol design are missing.
@@ -53,12 +58,14 @@ def sensitivity(sweep: Sweep, found: Rows) -> tuple[Index, ...]:
         mend = "a narrower range in which every run comes to its end"
         raise InputError(f"no indices of {missing[0]}: {failed} sets of values have no number", file="sweep", mend=mend)
     X, problem = sweep.shares(), sweep.problem
+    # of two values the second is reached by every step, which is LEVELS / 2 of LEVELS - 1 parts of a range
+    scale = np.array([0.5 * LEVELS / (LEVELS - 1) if len(p.values) == 2 else 1.0 for p in sweep.factors])
     made: list[Index] = []
     for name in outputs:
         Y = values[name]
         if np.ptp(Y) <= 1e-12 * np.abs(Y).max():
             continue  # nothing moves it
-        made += _morris(problem, X, Y, name, found.units[name]) if sweep.design == "morris" else _sobol(problem, Y, name)
+        made += _morris(problem, X, Y, name, found.units[name], scale) if sweep.design == "morris" else _sobol(problem, Y, name)
     return tuple(made)
 
 
@@ -71,12 +78,19 @@ def _averaged(sweep: Sweep, found: Rows, name: str) -> np.ndarray:
     return every.reshape(-1, seeds).mean(axis=1)
 
 
-def _morris(problem: dict[str, Any], X: np.ndarray, Y: np.ndarray, output: str, unit: str) -> list[Index]:
+def _morris(
+    problem: dict[str, Any], X: np.ndarray, Y: np.ndarray, output: str, unit: str, scale: np.ndarray
+) -> list[Index]:  # fmt: skip
+    """scale: what a step of the design is of the step that the factor really makes."""
     from SALib.analyze.morris import analyze
 
     got = analyze(problem, X, Y, conf_level=SURE, num_levels=LEVELS, seed=0)
     parts = zip(got["names"], got["mu_star"], got["mu_star_conf"], got["sigma"], strict=True)
-    return [Index(output, name, "mu*", float(m), max(float(m - c), 0.0), float(m + c), unit, float(s)) for name, m, c, s in parts]
+    return [
+        Index(output, name, "mu*", m * k, max((m - c) * k, 0.0), (m + c) * k, unit, s * k)
+        for (name, *rest), k in zip(parts, scale, strict=True)
+        for m, c, s in [map(float, rest)]
+    ]
 
 
 def _sobol(problem: dict[str, Any], Y: np.ndarray, output: str) -> list[Index]:

@@ -190,6 +190,9 @@ def load_sweep(path: str | Path) -> Sweep:
         raise top.refused("count", str(count), f"a power of two: {2 ** (count.bit_length() - 1)} or {2 ** count.bit_length()}")
     if design in ("morris", "sobol-indices") and len(factors) < 2:
         raise InputError(f"design {design} with one parameter", file=path, mend="give two or more: their effects are compared")
+    if design == "morris" and (odd := [p for p in factors if p.values and len(p.values) not in (2, LEVELS)]):
+        problem = f"{odd[0].name} has {len(odd[0].values)} values, a Morris trajectory takes 2 or {LEVELS}"
+        raise InputError(problem, file=path, mend="give 2 or 4 values, or low and high")
     if design in ("morris", "sobol-indices") and count == 1:
         raise top.refused("count", "1", "two or more, usual are 10 to 50 trajectories, 256 to 4096 base points")
     if design not in ("grid", "list") and count < 1:

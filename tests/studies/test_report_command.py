@@ -42,3 +42,7 @@ def test_wrong_folders_are_refused(runs, capsys):
     assert "holds no report.json" in capsys.readouterr().err
     assert main(["report", str(runs / "one"), str(runs / "one")]) == 2
     assert "named twice" in capsys.readouterr().err
+    before = (runs / "one" / "report.json").read_bytes()
+    assert main(["report", str(runs / "one"), str(runs / "two"), "--out", str(runs / "one")]) == 2
+    assert "it would replace" in capsys.readouterr().err
+    assert (runs / "one" / "report.json").read_bytes() == before

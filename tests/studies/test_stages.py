@@ -106,6 +106,66 @@ def test_a_refusal_is_told_in_the_commands_own_words(room):
         run_stages((Stage("a", ("compare", "b/x.json")), Stage("b", ("compare", "a/x.json"))), folder)
 
 
+def test_a_file_that_is_not_what_was_written_is_made_again(room):
+    """In the run's folder and in the cache; and what is asked for anew is not taken from either."""
+    first, second = room / "one", room / "two"
+    first.mkdir()
+    second.mkdir()
+    run_stages((RECORD,), first)
+    good = (first / "record" / "rbs.csv").read_bytes()
+    (first / "record" / "rbs.csv").write_bytes(good[: len(good) // 3])
+    assert not run_stages((RECORD,), first)["record"].fresh  # from the cache
+    assert (first / "record" / "rbs.csv").read_bytes() == good
+    (stored,) = (room / "cache" / "gain-scheduling-workbench" / "stages").glob("*/rbs.csv")
+    stored.write_bytes(good[:1000])
+    assert run_stages((RECORD,), second)["record"].fresh
+    assert (second / "record" / "rbs.csv").read_bytes() == good
+    assert run_stages((RECORD,), second, cached=False)["record"].fresh
+    for mark in ("[]", '{"key": 3}', "{"):
+        (second / "record" / MARK).write_text(mark)
+        run_stages((RECORD,), second)
+        assert (second / "record" / "rbs.csv").read_bytes() == good
+
+
+def test_what_the_user_put_beside_a_stage_stays(room):
+    folder = room / "run"
+    folder.mkdir()
+    run_stages((RECORD,), folder)
+    (folder / "record" / "notes.txt").write_text("mine")
+    other = Stage("record", (*RECORD.words[:-1], "4"))
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        run_stages((other,), folder)
+    assert (folder / "record" / "notes.txt").read_text() == "mine"
+
+
+def test_a_command_that_crashes_has_given_no_answer(room, monkeypatch):
+    """An exception that nobody caught is no answer no: nothing is marked, nothing goes into the cache."""
+    folder = room / "run"
+    folder.mkdir()
+    bad = room / "broken"
+    bad.mkdir()
+    (bad / "sitecustomize.py").write_text("import numpy\nnumpy.random.default_rng = None\n")
+    with monkeypatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(bad))
+        with pytest.raises(InputError, match="did not give an answer"):
+            run_stages((RECORD,), folder)
+    assert not (folder / "record" / MARK).exists()
+    assert not list((room / "cache" / "gain-scheduling-workbench").glob("stages/*/" + MARK))
+    assert run_stages((RECORD,), folder)["record"].fresh
+
+
+def test_an_input_that_changes_while_it_is_read_is_told(room, monkeypatch):
+    from studies import stages
+
+    folder = room / "run"
+    folder.mkdir()
+    keys = iter(["a" * 32, "b" * 32])
+    monkeypatch.setattr(stages, "_key", lambda stage, place: next(keys))
+    with pytest.raises(InputError, match="has changed while it ran"):
+        run_stages((RECORD,), folder)
+    assert not (folder / "record" / MARK).exists()
+
+
 def test_what_lies_in_the_run_folder_is_not_imported(room):
     folder = room / "run"
     folder.mkdir()
@@ -132,7 +192,7 @@ def test_a_kill_leaves_whole_stages_and_nothing_running(room):
     process.wait()
     assert (folder / "record" / MARK).is_file()
     assert not (folder / "slow" / MARK).is_file()
-    found = run_stages((RECORD, slow), folder, cached=False)
+    found = run_stages((RECORD, slow), folder)
     assert {name: d.fresh for name, d in found.items()} == {"record": False, "slow": True}
     assert not (folder / "slow" / BEGUN).exists()
     assert (folder / "slow" / "report.html").is_file()

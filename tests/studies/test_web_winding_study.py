@@ -10,7 +10,7 @@ import pytest
 from plants import WEB_WINDING
 from studies import web_winding
 from studies.stages import MARK
-from studies.web_winding import HIDDEN, drawn
+from studies.web_winding import HIDDEN, Hidden, drawn, judged
 from workbench.errors import InputError
 from workbench.readers import read
 from workbench.report.archive import read_report
@@ -87,6 +87,24 @@ def test_a_second_run_computes_nothing_and_says_the_same(chain):
     web_winding.main(quick=True, folder=folder, seed=SEED, say=said.append, progress=lambda _: None)
     assert "\n".join(said) == chain[2]
     assert {path: path.stat().st_mtime_ns for path in folder.glob(f"*/{MARK}")} == marks
+
+
+def test_what_is_said_of_what_was_hidden():
+    """Named alone, beside a false one, tied, missed; and whether its size is right."""
+    hidden = Hidden("input-delay@V1", "time", 0.03)
+
+    def cause(key, low, high, ties=()):
+        effect, at = key.split("@")
+        return {"effect": effect, "at": at, "ties": list(ties), "parameters": {"time": {"low": low, "high": high}}}
+
+    own = cause("input-delay@V1", 0.02, 0.04)
+    assert judged({"causes": [own]}, hidden) == "the diagnosis names it, its size inside the 95 % interval"
+    assert "NOT inside" in judged({"causes": [cause("input-delay@V1", 2.0, 4.0)]}, hidden)
+    both = judged({"causes": [own, cause("sensor-lag@w3", 0.0, 1.0)]}, hidden)
+    assert "and names sensor-lag@w3 beside it, which was not there" in both
+    assert "cannot tell" in judged({"causes": [cause("input-delay@V1", 0.0, 1.0, ["sensor-lag@w3"])]}, hidden)
+    assert "names another effect" in judged({"causes": [cause("sensor-lag@w3", 0.0, 1.0, ["input-delay@V1"])]}, hidden)
+    assert judged({"causes": [cause("sensor-lag@w3", 0.0, 1.0)]}, hidden) == "the diagnosis does not find it"
 
 
 def test_every_effect_that_may_be_hidden_is_one_of_the_machine():

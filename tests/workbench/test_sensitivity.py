@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from workbench.errors import InputError
-from workbench.sensitivity import response_surface, sensitivity
+from workbench.sensitivity import Index, response_surface, sensitivity
 from workbench.sweep import Factor, Rows, Sweep, load_sweep
 
 A, B = 7.0, 0.1
@@ -54,6 +54,9 @@ def test_morris_effects_of_a_linear_function_are_its_slopes_over_the_whole_range
     assert found["b"].value == pytest.approx(math.log(100.0), rel=1e-9)
     assert found["c"].value == pytest.approx(0.0, abs=1e-9)
     assert all(i.beside == pytest.approx(0.0, abs=1e-9) and i.unit == "m" for i in found.values())
+    listed = {i.factor: i.value for i in sensitivity(sweep, rows_of(sweep, lambda a, b, c, s: 1.2 * a / 2.0 + (c - 5.0)))}
+    assert listed["a"] == pytest.approx(1.2)
+    assert listed["c"] == pytest.approx(1.0)  # from the one of two values to the other
     curved = {i.factor: i for i in sensitivity(sweep, rows_of(sweep, lambda a, b, c, s: (a - 1.0) ** 2 + (c - 5.0) * a))}
     assert curved["a"].beside > 0.5
 
@@ -105,6 +108,13 @@ def test_a_quadratic_is_its_own_response_surface():
     assert noise.explained < 0.4
     assert response_surface({"a": a[:5], "b": b[:5]}, a[:5]) is None
     assert response_surface({"a": np.ones(40), "b": b}, b) is None
+
+
+def test_a_factor_that_acts_with_others_counts_for_more_than_noise_around_nothing():
+    alone, noise = (Index("y", name, "S", value, value - 0.5, value + 0.5, "", total) for name, value, total in
+                    (("real", 0.3, 0.9), ("noise", -0.35, 0.1)))  # fmt: skip
+    assert max((alone, noise), key=lambda i: i.weight) is alone
+    assert Index("y", "a", "rank", -0.9, -1.0, -0.8).weight == 0.9
 
 
 @pytest.mark.parametrize(

@@ -546,7 +546,7 @@ class Plant:
             rows, which = np.unique(p, axis=0, return_inverse=True)
             if len(rows) < len(p):
                 x, u = self.equilibria(rows, **fixed)
-                return x[which], u[which]
+                return x[which.ravel()], u[which.ravel()]
         names = (*self.state_names, *self.input_names)
         z = np.zeros((len(p), len(names)))
         for name, value in (dict(self.start.guess) | dict(self.start.fixed) | fixed).items():

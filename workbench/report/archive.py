@@ -37,7 +37,8 @@ def _content(block: Block, files: Mapping[int, str]) -> dict[str, Any]:
     match block:
         case Picture():
             own = {"title": block.title, "caption": block.caption, "alt": block.alt, "svg": block.figure_svg}
-            return {"picture": own | {"data": block.data.name, "file": files[id(block)]}}
+            rows = len(block.data.columns[0].values) if block.data.columns else 0
+            return {"picture": own | {"data": block.data.name, "file": files[id(block)], "rows": rows}}
         case Table():
             own = {"title": block.title, "caption": block.caption, "digits": block.digits, "header": list(block.header)}
             own["best"] = block.best.__name__ if block.best else None
@@ -66,6 +67,8 @@ def read_report(folder: str | Path) -> Report:
         raise InputError("is no report of this version", file=path, mend="run the command again that wrote it")
     try:
         sections = [Section(s["title"], tuple(_block(b, path.parent) for b in s["blocks"])) for s in content["sections"]]
+        if not (isinstance(content["title"], str) and isinstance(content["verdict"], str)):
+            raise TypeError("title and verdict are texts")
         return Report(content["title"], content["verdict"], tuple(sections))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as reason:
         raise InputError(f"is damaged: {reason!r}", file=path, mend="run the command again that wrote it") from None
@@ -75,7 +78,7 @@ def _block(content: Mapping[str, Any], folder: Path) -> Block:
     ((kind, own),) = content.items()
     match kind:
         case "picture":
-            data = Data(own["data"], _columns(folder / "data" / Path(own["file"]).name))
+            data = Data(own["data"], _columns(folder / "data" / Path(own["file"]).name, own["rows"]))
             return Picture(own["title"], own["svg"], own["caption"], data, own["alt"])
         case "table":
             rows = tuple(tuple(_number(cell) for cell in row) for row in own["rows"])
@@ -92,9 +95,14 @@ def _number(cell: Any) -> Cell:
     return math.copysign(math.inf, cell["infinite"]) if isinstance(cell, dict) else cell
 
 
-def _columns(path: Path) -> tuple[Column, ...]:
-    """The columns of a CSV file, their cells as they were written."""
-    header, *rows = csv.reader(io.StringIO(read_text(path)))
+def _columns(path: Path, count: int) -> tuple[Column, ...]:
+    """The columns of a CSV file of `count` rows, their cells as they were written."""
+    text = read_text(path)
+    header, *rows = csv.reader(io.StringIO(text))
+    if len(rows) != count or any(len(row) != len(header) for row in rows) or not text.endswith("\n"):
+        raise InputError(
+            f"is not whole: {count} rows of {len(header)} cells were written", file=path, mend="run the command again"
+        )
     names = [re.fullmatch(r"(.*?)(?: \[(.*)\])?", text, re.DOTALL) for text in header]
     return tuple(Column(m[1], [row[i] for row in rows], m[2] or "") for i, m in enumerate(names) if m)
 

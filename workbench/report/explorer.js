@@ -34,6 +34,7 @@
       const all = new Int16Array(Uint8Array.from(atob(packed.textContent), c => c.charCodeAt(0)).buffer);
       let next = 0;
       return columns.map(c => {
+        if (c.wide) return {...named(c.title), values: new Float64Array(Uint8Array.from(atob(c.wide), b => b.charCodeAt(0)).buffer)};
         if (c.even) return {...named(c.title), values: Float64Array.from({length: n}, (_, i) => c.low + c.step * i)};
         const own = all.subarray(next * n, ++next * n);
         return {...named(c.title), values: Float64Array.from(own, v => v === -32768 ? NaN : c.low + c.step * (v + 32767))};
@@ -45,7 +46,8 @@
     const columns = [];
     for (let j = 0; j < rows[0].length; j++) {
       const values = Float64Array.from(rows.slice(1), row => row[j] === "" ? NaN : Number(row[j]));
-      if (!rows.slice(1).some((row, k) => row[j] !== "" && !isFinite(values[k]))) columns.push({...named(rows[0][j]), values});
+      for (let k = 0; k < values.length; k++) if (/^-?inf$/.test(rows[k + 1][j])) values[k] = NaN;
+      if (!rows.slice(1).some((row, k) => !/^(-?inf)?$/.test(row[j]) && isNaN(values[k]))) columns.push({...named(rows[0][j]), values});
     }
     return columns;
   }
@@ -250,21 +252,23 @@
     button("\u2190", () => pan(-.25), "earlier");
     button("\u2192", () => pan(.25), "later");
     button("all", () => { range = null; draw(); }, "show all");
+    let turn = () => {};
     if (others.length > 1) {
       const choose = make("select"), label = make("label", "record ");
       others.forEach((o, i) => choose.append(make("option", o.title, {value: i, selected: o.own})));
       choose.onchange = () => {
         shown = of(others[choose.value].figure);
-        range = cursor = null; said.textContent = "";
-        listed(); draw();
+        range = cursor = null; said.textContent = ""; hidden.clear();
+        listed(); turn(); draw();
       };
       label.append(choose); bar.append(label);
     }
     if (shown.kind === "family") {
       const slide = make("input", "", {type: "range", min: 0, max: shown.at.length - 1, value: 0});
       const label = make("label", shown.of.name + " "), value = make("span");
-      const turn = () => {
-        part = +slide.value; cursor = null;
+      turn = () => {
+        slide.max = shown.at.length - 1;
+        part = Math.min(+slide.value, shown.at.length - 1); cursor = null;
         value.textContent = short(shown.at[part]) + " " + shown.of.unit;
         slide.setAttribute("aria-valuetext", value.textContent);
         draw();

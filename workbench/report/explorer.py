@@ -45,14 +45,15 @@ def kind_of(data: Data) -> str:
 def numbers_of(column: Column) -> np.ndarray | None:
     """The values as numbers, NaN where there are none; None where one of them is a text."""
     try:
-        return np.array([np.nan if v is None or v == "" else v for v in column.values], dtype=float)
+        values = np.array([np.nan if v is None or v == "" else v for v in column.values], dtype=float)
     except (TypeError, ValueError):
         return None
+    return np.where(np.isinf(values), np.nan, values)
 
 
 def packed(data: Data) -> str:
     """The numbers in 16 bits each, of a range of their own, for data that are too long to lie in the page as text."""
-    told, parts = [], []
+    told, parts, over = [], [], 2 if kind_of(data) == "family" else 1  # columns that the others are over
     for column in data.columns:
         v = numbers_of(column)
         if v is None:
@@ -62,6 +63,9 @@ def packed(data: Data) -> str:
         even = low + (high - low) / max(len(v) - 1, 1) * np.arange(len(v))
         if len(finite) == len(v) and high > low and np.abs(v - even).max() < 1e-9 * (high - low):
             told.append({"title": title, "even": True, "low": low, "step": (high - low) / (len(v) - 1)})
+            continue
+        if len(told) < over:  # is not to be rounded
+            told.append({"title": title, "wide": base64.b64encode(v.astype("<f8").tobytes()).decode()})
             continue
         step = (high - low) / 65534 or 1.0
         told.append({"title": title, "low": low, "step": step})

@@ -81,5 +81,13 @@ def test_what_is_no_report_is_refused(tmp_path):
         path.write_text(spoilt)
         with pytest.raises(InputError, match=said):
             read_report(tmp_path)
+    data = tmp_path / "data" / "01-step-response.csv"
+    csv = data.read_text()
+    for cut in (csv[: len(csv) // 2], csv[: csv.index("\n", 200) + 1], csv[:-2]):
+        data.write_text(cut)
+        path.write_text(whole)
+        with pytest.raises(InputError, match="is not whole"):
+            read_report(tmp_path)
+    data.write_text(csv)
     path.write_text(whole.replace('"file": "01', '"file": "../../01'))  # a name stays in the report's own folder
     assert read_report(tmp_path).title == "Title <b>"

@@ -202,6 +202,30 @@ def test_what_is_too_long_for_text_lies_in_the_page_all_the_same(tmp_path):
         assert np.abs(near - float(y)).min() <= step + 1e-4 * abs(float(y))
 
 
+@needs_browser
+def test_a_long_family_over_a_logarithmic_axis_keeps_its_members(tmp_path, monkeypatch):
+    monkeypatch.setattr("workbench.report.page.INLINE", 1000)
+    omega = np.geomspace(0.008, 78.0, 300)
+    curves = {f"|S| {i}": np.outer(RHO, omega) + i for i in range(3)}
+    picture = figures.frozen_responses(omega, figures.Trace(Channel("r2", "m"), RHO), curves, "Frozen", drawn=2)
+    page = write_report(Report("Page", "v", (Section("S", (picture,)),)), tmp_path)
+    got = asked(
+        page,
+        """
+        const f = document.querySelector("figure"); f.querySelector(".explore").click();
+        const slide = f.querySelector("input[type=range]"), key = k => f.querySelector("canvas").dispatchEvent(
+          new KeyboardEvent("keydown", {key: k, bubbles: true}));
+        slide.value = 4; slide.oninput();
+        key("ArrowRight"); for (let i = 0; i < 400; i++) key("ArrowLeft");
+        return [+slide.max + 1, slide.getAttribute("aria-valuetext"), f.querySelector("output").textContent];
+        """,
+    )
+    assert got["errors"] == []
+    members, label, said = got["found"]
+    assert (members, label) == (len(RHO), "0.03 m")
+    assert said.startswith("omega 0.008 rad/s")
+
+
 def test_packed_numbers_are_those_of_the_data():
     t, y = 0.5 * np.arange(100.0), np.random.default_rng(0).normal(size=100)
     y[3] = np.nan
