@@ -18,13 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench import loadmat
 from workbench.data import BadStamp, Channel, Dataset, Experiment, Role, bad_stamps
 from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.records import record
 
 TIME_NAMES = ("t", "time", "Time")
+
+#: What reads MAT files, in a process of its own.
+MAT_READER = Path(__file__).with_name("loadmat.py")
 
 #: Fewer samples than this are no record.
 SHORTEST = 3
@@ -485,7 +487,7 @@ def _variables(path: Path) -> dict[str, np.ndarray]:
         start = stream.read(520)
     if b"MATLAB 7.3" in start or b"\x89HDF" in start:
         raise InputError("is a MAT file of version 7.3", file=path, mend="save it in MATLAB with save(..., '-v7')")
-    words = [sys.executable, "-I", str(Path(loadmat.__file__)), str(path)]
+    words = [sys.executable, "-I", str(MAT_READER), str(path)]
     done = subprocess.run(words, capture_output=True, check=False)
     if done.returncode:
         reason = (

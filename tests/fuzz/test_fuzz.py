@@ -59,7 +59,7 @@ def test_an_infinite_place_in_a_model_is_a_refusal(every, tmp_path):
 def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
     killer = tmp_path / "killer.py"
     killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
-    monkeypatch.setattr(readers.loadmat, "__file__", str(killer))
+    monkeypatch.setattr(readers, "MAT_READER", killer)
     (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0")
     with pytest.raises(InputError, match=r"(?s)cannot be read as a MAT file \(crash of its reader\).*is the file whole"):
         readers.read(tmp_path / "a.mat")
