@@ -21,7 +21,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import cached_property
 from pathlib import Path
 
 from workbench.errors import InputError
@@ -64,10 +63,6 @@ class Done:
     said: tuple[str, ...]
     seconds: float
     fresh: bool
-
-    @cached_property
-    def files(self) -> tuple[Path, ...]:
-        return _files(self.folder)
 
 
 def run_stages(
@@ -137,7 +132,7 @@ def _program() -> str:
     """Hash of the source of this program."""
     root, found = Path(__file__).resolve().parents[1], hashlib.sha256()
     for package in ("workbench", "controllers", "plants", "studies"):
-        for path in sorted((root / package).rglob("*.py")):
+        for path in sorted(p for p in (root / package).rglob("*") if p.suffix in (".py", ".js")):
             found.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
     return found.hexdigest()
 
@@ -145,17 +140,12 @@ def _program() -> str:
 def _whole(stage: Stage, own: Path, key: str) -> Done | None:
     """The stage in this folder, if it is there, whole, and of this key."""
     try:
-        note = read_json(own / MARK) if (own / MARK).is_file() else {}
-    except InputError:
-        return None  # cut short by a full disk: it runs again
-    try:
+        note = read_json(own / MARK)
         whole = note["key"] == key and not (own / BEGUN).exists()
-        whole = whole and all(
-            (own / name).is_file() and sha256(own / name) == own_hash for name, own_hash in note["files"].items()
-        )
+        whole = whole and all((own / name).is_file() and sha256(own / name) == has for name, has in note["files"].items())
         return Done(stage, own, int(note["code"]), tuple(note["said"]), float(note["seconds"]), fresh=False) if whole else None
-    except (TypeError, KeyError, AttributeError, ValueError):
-        return None
+    except (InputError, TypeError, KeyError, AttributeError, ValueError):
+        return None  # there is none, or it was cut short by a full disk
 
 
 def _files(own: Path) -> tuple[Path, ...]:
