@@ -17,7 +17,7 @@ from workbench.diagnose.calibrate import trajectories
 from workbench.diagnose.domains import shown
 from workbench.diagnose.experiments import Template, once_more
 from workbench.diagnose.stages import StageError, Stages, stages
-from workbench.files import write_json
+from workbench.files import nullable, write_json
 from workbench.physics.extension import extension
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
@@ -58,7 +58,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
         (folder / EXPERIMENT_FILE).unlink(missing_ok=True)  # that of a former diagnosis decides nothing here
     for path in (folder / "diagnosis.json", options.json):
         if path:
-            write_json(path, to_json(found, folder, source) | {"stages": _finite([vars(e) for e in shown_at.errors])})
+            write_json(path, to_json(found, folder, source) | {"stages": nullable([vars(e) for e in shown_at.errors])})
     progress("drawing")
     report = page(chosen.plant, found, records, shown_at, source)
     say(f"extended plant, for --plant and simulate: {again(chosen, extended)}")
@@ -99,22 +99,7 @@ def to_json(found: Diagnosis, folder: Path, source: dict[str, Any]) -> dict[str,
         "seconds": found.seconds,
         "provenance": source,
     }
-    return _finite(content)
-
-
-def _finite(content: Any) -> Any:
-    """The same with null for every number that is none: JSON has no NaN."""
-    match content:
-        case dict():
-            return {key: _finite(value) for key, value in content.items()}
-        case list() | tuple():
-            return [_finite(value) for value in content]
-        case np.ndarray():
-            return _finite(content.tolist())
-        case float() | np.floating():
-            return float(content) if np.isfinite(content) else None
-        case _:
-            return content
+    return nullable(content)
 
 
 def _experiment(plant: Plant, todo: NextExperiment) -> Experiment:

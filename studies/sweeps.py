@@ -20,7 +20,7 @@ from controllers.files import controller_of
 from studies.arguments import choose_plant, find_plant, run_folder, trusted_plant
 from studies.sweep_page import page
 from workbench.errors import InputError, check_known
-from workbench.files import read_json, sha256, write_json
+from workbench.files import nullable, read_json, sha256, write_json
 from workbench.metrics import tracking
 from workbench.physics.controller import Controller
 from workbench.physics.plant import Plant
@@ -267,12 +267,8 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     say(f"rows: {folder / 'sweep.sqlite'}, {folder / 'sweep.csv'}\nreport: {report}")
     if options.json:
         content = {"names": found.names, "units": dict(found.units), "rows": [list(row) for row in found.rows]}
-        write_json(options.json, content | {"sensitivity": [_finite(vars(i)) for i in indices]})
+        write_json(options.json, content | {"sensitivity": nullable([vars(i) for i in indices])})
     return 0
-
-
-def _finite(own: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: None if isinstance(v, float) and not np.isfinite(v) else v for name, v in own.items()}
 
 
 def _extremes(found: Any, factors: Sequence[Factor]) -> list[str]:

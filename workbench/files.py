@@ -15,6 +15,11 @@ from workbench.errors import InputError
 
 def write_text(path: str | Path, text: str) -> Path:
     """Write `text` (UTF-8) so that `path` holds either all of it or what it held before."""
+    return write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> Path:
+    """Write `content` so that `path` holds either all of it or what it held before."""
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -22,8 +27,8 @@ def write_text(path: str | Path, text: str) -> Path:
     except OSError as reason:
         raise InputError(f"cannot write: {reason.strerror}", file=path, mend="choose another --out folder") from None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except OSError as reason:
@@ -38,6 +43,21 @@ def write_json(path: str | Path, content: Any) -> Path:
     text = json.dumps(content, default=_plain, indent=1, allow_nan=False)
     rows = re.sub(r"\[[^\[\]{}\"]*\]", lambda row: " ".join(row.group().split()), text)
     return write_text(path, rows + "\n")
+
+
+def nullable(content: Any) -> Any:
+    """The same with null for every number that is none: JSON has no NaN."""
+    match content:
+        case dict():
+            return {key: nullable(value) for key, value in content.items()}
+        case list() | tuple():
+            return [nullable(value) for value in content]
+        case np.ndarray():
+            return nullable(content.tolist())
+        case float() | np.floating():
+            return float(content) if np.isfinite(content) else None
+        case _:
+            return content
 
 
 def read_text(path: str | Path) -> str:

@@ -13,6 +13,7 @@ Rows stand in an SQLite file, which is whole after a kill at any moment:
 
 import fcntl
 import hashlib
+import io
 import itertools
 import json
 import math
@@ -29,7 +30,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from workbench.errors import InputError, check_known
-from workbench.files import write_text
+from workbench.files import write_bytes, write_text
 from workbench.provenance import versions
 from workbench.records import field, record
 from workbench.toml import Table, finite, kind, read_toml
@@ -606,7 +607,7 @@ def require_parquet() -> Any:
 def export_parquet(database: str | Path, path: str | Path) -> Path:
     """The rows as Parquet: types are kept, units are metadata of the columns."""
     arrow: Any = require_parquet()
-    found, path = read_rows(database), Path(path)
+    found = read_rows(database)
     columns, fields = [], []
     for i, name in enumerate(found.names):
         values = [row[i] for row in found.rows]
@@ -614,12 +615,6 @@ def export_parquet(database: str | Path, path: str | Path) -> Path:
         column = arrow.array([None if v is None else str(v) for v in values] if mixed else values)
         columns.append(column)
         fields.append(arrow.field(name, column.type, metadata={"unit": found.units.get(name, "")}))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        arrow.parquet.write_table(arrow.Table.from_arrays(columns, schema=arrow.schema(fields)), temporary)
-        os.replace(temporary, path)
-    except OSError as reason:
-        raise InputError(f"cannot write: {reason}", file=path, mend="free some space or choose --out") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-    return path
+    whole = io.BytesIO()
+    arrow.parquet.write_table(arrow.Table.from_arrays(columns, schema=arrow.schema(fields)), whole)
+    return write_bytes(path, whole.getvalue())

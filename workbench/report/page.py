@@ -19,6 +19,7 @@ from urllib.parse import quote
 import numpy as np
 
 from workbench.files import write_json, write_text
+from workbench.records import record
 from workbench.report.archive import content_of
 from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Table, Text
 from workbench.report.explorer import SCRIPT as EXPLORER
@@ -42,9 +43,9 @@ def write_report(report: Report, folder: str | Path) -> Path:
     Everything is put together before the first file is written, and what a failed attempt has newly written is removed again.
     """
     folder = Path(folder)
-    names = _file_names(report)
-    tables = {folder / "data" / names[id(block)]: csv_text(block.data) for block in _with_data(report)}
-    page = html_text(report)
+    numbers = _numbers(report)
+    tables = {folder / "data" / own.file: own.text for own in numbers.values()}
+    page = _html(report, numbers)
     archive = folder / "report.json"
     new = [path for path in tables if not path.exists()]
     try:
@@ -52,7 +53,7 @@ def write_report(report: Report, folder: str | Path) -> Path:
             write_text(path, text)
         written = write_text(folder / "report.html", page)
         archive.unlink(missing_ok=True)  # that of a former page
-        write_json(archive, content_of(report, names))
+        write_json(archive, content_of(report, {block: own.file for block, own in numbers.items()}))
         return written
     except BaseException:
         for path in new:
@@ -71,10 +72,13 @@ def csv_text(data: Data) -> str:
 
 def html_text(report: Report) -> str:
     """The report as one HTML page with style, script, pictures and data inside."""
-    names = _file_names(report)
+    return _html(report, _numbers(report))
+
+
+def _html(report: Report, numbers: Mapping[int, "_Numbers"]) -> str:
     sections = [
         f'<section aria-labelledby="s{i}"><h2 id="s{i}">{_escape(section.title)}</h2>\n'
-        + "\n".join(_block(block, f"s{i}-{j}", names.get(id(block), "")) for j, block in enumerate(section.blocks, 1))
+        + "\n".join(_block(block, f"s{i}-{j}", numbers.get(id(block))) for j, block in enumerate(section.blocks, 1))
         + "</section>"
         for i, section in enumerate(report.sections, 1)
     ]
@@ -107,9 +111,18 @@ def _with_data(report: Report) -> Iterator[Picture | Table]:
         yield from (block for block in section.blocks if isinstance(block, Picture | Table))
 
 
-def _file_names(report: Report) -> dict[int, str]:
-    """A file name for the numbers of every block, by the block's identity."""
-    return {id(block): f"{i:02d}-{_slug(block.data.name)}.csv" for i, block in enumerate(_with_data(report), 1)}
+@record
+class _Numbers:
+    """The numbers of a block as CSV, and the name of their file."""
+
+    file: str
+    text: str
+
+
+def _numbers(report: Report) -> dict[int, _Numbers]:
+    """Of every block that has some, by the block's identity."""
+    every = enumerate(_with_data(report), 1)
+    return {id(block): _Numbers(f"{i:02d}-{_slug(block.data.name)}.csv", csv_text(block.data)) for i, block in every}
 
 
 def _slug(text: str) -> str:
@@ -128,33 +141,35 @@ def _contents(report: Report) -> str:
     return f'<nav aria-label="Contents"><p>Contents</p><ol>{"".join(items)}</ol></nav>'
 
 
-def _block(block: Block, anchor: str, file: str) -> str:
+def _block(block: Block, anchor: str, numbers: "_Numbers | None") -> str:
     match block:
         case Picture():
-            return _picture(block, anchor, file)
+            assert numbers is not None
+            return _picture(block, anchor, numbers)
         case Table():
-            return _table(block, anchor, file)
+            assert numbers is not None
+            return _table(block, anchor, numbers)
         case Provenance():
             return _provenance(block, anchor)
         case Text():
             return _paragraphs(block.text)
 
 
-def _picture(picture: Picture, anchor: str, file: str) -> str:
+def _picture(picture: Picture, anchor: str, numbers: "_Numbers") -> str:
     drawing = embed(picture.figure_svg, anchor, picture.alt or picture.title, f"{anchor}-caption")
-    kind, text = kind_of(picture.data), csv_text(picture.data)
+    kind, text = kind_of(picture.data), numbers.text
     columns = _escape(text[: text.index("\n")])
     view = f' data-view="{kind}" data-columns="{columns}"' if kind else ""
-    numbers = packed(picture.data) if kind and len(text) > INLINE else ""
+    long = packed(picture.data) if kind and len(text) > INLINE else ""
     return (
         f'<figure id="{anchor}"{view}><h3>{_escape(picture.title)}</h3>\n'
         f'<div class="picture">{drawing}</div>\n'
         f'<figcaption><span id="{anchor}-caption">{_escape(picture.caption)}</span>&ensp;'
-        f"{_download(picture.data, text, file)}</figcaption>{numbers}</figure>"
+        f"{_download(picture.data, numbers)}</figcaption>{long}</figure>"
     )
 
 
-def _table(table: Table, anchor: str, file: str) -> str:
+def _table(table: Table, anchor: str, numbers: "_Numbers") -> str:
     shown = _shown(table)
     numeric = [any(_is_number(row[i]) for row in table.rows) for i in range(len(table.header))]
     mark = [' class="n"' if n else "" for n in numeric]
@@ -165,7 +180,7 @@ def _table(table: Table, anchor: str, file: str) -> str:
         f'<div class="scroll" role="region" tabindex="0" aria-labelledby="{anchor}-title"><table>'
         f"<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>\n"
         f'<p class="caption">{_escape(table.caption)}{"&ensp;" * bool(table.caption)}'
-        f"{_download(table.data, csv_text(table.data), file)}</p></div>"
+        f"{_download(table.data, numbers)}</p></div>"
     )
 
 
@@ -244,7 +259,8 @@ def _flat(content: Mapping[str, object], path: str = "") -> Iterator[tuple[str, 
             yield name, str(value)
 
 
-def _download(data: Data, text: str, file: str) -> str:
+def _download(data: Data, numbers: "_Numbers") -> str:
+    text, file = numbers.text, numbers.file
     what = f"{len(data.columns)} columns \N{MULTIPLICATION SIGN} {len(data.columns[0].values) if data.columns else 0} rows"
     if len(text) > INLINE:
         link = f'<a href="data/{file}" download="{file}" title="{what}">CSV, beside this page</a>'
