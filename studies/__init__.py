@@ -52,6 +52,36 @@ def _robust_winding() -> ModuleType:
     return robust_winding
 
 
+def _pid_bandwidth() -> ModuleType:
+    from studies import pid_bandwidth
+
+    return pid_bandwidth
+
+
+def _sampling_time() -> ModuleType:
+    from studies import sampling_time
+
+    return sampling_time
+
+
+def _noise_level() -> ModuleType:
+    from studies import noise_level
+
+    return noise_level
+
+
+def _record_count() -> ModuleType:
+    from studies import record_count
+
+    return record_count
+
+
+def _detection_rate() -> ModuleType:
+    from studies import detection_rate
+
+    return detection_rate
+
+
 STUDIES: dict[str, Callable[[], ModuleType]] = {
     "web-winding": _web_winding,
     "winding-models": _winding_models,
@@ -61,4 +91,9 @@ STUDIES: dict[str, Callable[[], ModuleType]] = {
     "hidden-effects": _hidden_effects,
     "controller-comparison": _controller_comparison,
     "robust-winding": _robust_winding,
+    "pid-bandwidth": _pid_bandwidth,
+    "sampling-time": _sampling_time,
+    "noise-level": _noise_level,
+    "record-count": _record_count,
+    "detection-rate": _detection_rate,
 }

@@ -257,7 +257,7 @@ def parser() -> argparse.ArgumentParser:
 
     sub = command(
         "sweep",
-        "run a closed loop for many sets of values; every row is in a file as soon as it is there",
+        "run a loop, a design, an identification or a diagnosis for many sets of values; every row is kept as soon as it is there",
         "examples:\n  workbench sweep sweep.toml --jobs 2\n  workbench sweep sweep.toml --out runs/mine --resume",
     )
     sub.add_argument("sweep", metavar="FILE", help="what varies, and what is run (TOML)")
@@ -280,8 +280,8 @@ def parser() -> argparse.ArgumentParser:
     study: Any = sub.add_argument(
         "study",
         metavar="STUDY",
-        help="web-winding (the whole chain), winding-models, "
-        "welding-robot, emps, winding-records, hidden-effects, controller-comparison, robust-winding",
+        help="web-winding (the whole chain), winding-models, welding-robot, emps, winding-records, hidden-effects, "
+        "controller-comparison, robust-winding, pid-bandwidth, sampling-time, noise-level, record-count, detection-rate",
     )
     study.completer = lambda **_: list(STUDIES)
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")
@@ -293,7 +293,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="M",
         help="hidden-effects: cases (default 600); controller-comparison: seeds (20)",
     )
-    sub.add_argument("--jobs", type=_positive, metavar="N", help="these and web-winding: processes side by side (web-winding: 2)")
+    sub.add_argument("--jobs", type=_positive, metavar="N", help="processes side by side (default 2; 1 of those that --cases is for)")
     sub.add_argument("--fresh", action="store_true", default=None, help="web-winding: compute every stage anew")
     return top
 

@@ -8,6 +8,7 @@ plants/welding_robot.py.
 
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,18 +16,19 @@ from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS, WEB_WINDING
 from workbench import excitation
+from workbench.data import Experiment
 from workbench.errors import check_known
-from workbench.physics.controller import Controller, Playback
+from workbench.physics.controller import Playback
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
-from workbench.simulate import Scenario
+from workbench.simulate import Scenario, simulate
 
 
 @record
 class Plan:
     """An experiment: the loop it runs in, for a seed what happens in it, and the missing physics that belongs to it."""
 
-    controller: Controller
+    controller: ScheduledPID | Playback
     scenario: Callable[[int], Scenario]
     effects: EffectSizes = field(default_factory=dict)
 
@@ -206,3 +208,19 @@ def plan(plant: str, experiment: str) -> Plan:
     """The plan of a machine's experiment by name; unknown names are refused with the nearest match."""
     plans = EXPERIMENTS[check_known("plant", plant, EXPERIMENTS)]
     return plans[check_known(f"experiment of {plant}", experiment, plans)]
+
+
+def measured(plant: Plant, experiment: str, seed: int, effects: EffectSizes | None = None) -> Experiment:
+    """The record of a machine's experiment, with the missing physics that belongs to it and `effects`.
+
+    A plant that is sampled otherwise than its plan follows the plan's set-points in time, each held until the next one.
+    """
+    todo = plan(plant.name, experiment)
+    law, scenario = todo.controller, todo.scenario(seed)
+    if plant.dt != law.dt:
+        samples = round(len(scenario) * law.dt / plant.dt)
+        held = np.floor(plant.dt / law.dt * np.arange(samples) + 1e-6).astype(int)  # 1e-6: the same time may round down
+        held = np.minimum(held, len(scenario) - 1)
+        law = replace(law, dt=plant.dt)
+        scenario = replace(scenario, references={name: r[held] for name, r in scenario.references.items()})
+    return simulate(plant, law, scenario, effects=todo.effects_with(effects or {})).experiment

@@ -20,7 +20,7 @@ from controllers.receding import Weights
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
 from plants import PLANTS
-from studies.experiments import plan
+from studies.experiments import measured
 from studies.rehearsal import Rehearsal, calmest, rehearsal
 from workbench.data import Dataset
 from workbench.identify.lti import LTI
@@ -28,7 +28,7 @@ from workbench.identify.ssm import SSM
 from workbench.lpv import LPVModel
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import record
-from workbench.simulate import Scenario, simulate
+from workbench.simulate import Scenario
 
 Say = Callable[[str], None]
 
@@ -119,12 +119,7 @@ class Bench:
 
 def _records(plant: Plant, experiments: tuple[str, ...], seed: int, roles: dict, effects: EffectSizes | None = None) -> Dataset:
     """Records of the machine's plan, as they would be measured."""
-    found = []
-    for name in experiments:
-        todo = plan(plant.name, name)
-        run = simulate(plant, todo.controller, todo.scenario(seed), effects=todo.effects_with(effects or {}))
-        found.append(run.experiment.with_roles(**roles))
-    return Dataset(tuple(found))
+    return Dataset(tuple(measured(plant, name, seed, effects).with_roles(**roles) for name in experiments))
 
 
 def _counted(size: np.ndarray, nu: int, move: float) -> Weights:

@@ -21,7 +21,7 @@ from controllers.tuning import Bounds
 from plants import PLANTS
 from studies.arguments import Chosen
 from studies.check import Checked, Open, counted, on_model, on_plant, opened, verdict_table
-from studies.experiments import plan
+from studies.experiments import measured
 from studies.loops import WINDING_LIMITS, benches
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
@@ -148,9 +148,7 @@ def recorded(seed: int, count: int, progress: Say) -> tuple:
     found = []
     for number, name in enumerate(RECORDED[:count]):
         progress(f"record {number + 1}: {name}")
-        todo = plan(WINDING.name, name)
-        run = simulate(WINDING, todo.controller, todo.scenario(seed + number), effects=todo.effects_with({}))
-        found.append(run.experiment.with_roles(**ROLES))
+        found.append(measured(WINDING, name, seed + number).with_roles(**ROLES))
     return tuple(found)
 
 

@@ -18,7 +18,7 @@ from plants import WEB_WINDING
 from studies.arguments import record_files, split_estimation
 from studies.comparison import residual_table, traces
 from studies.envelopes import covered_verdict
-from studies.experiments import plan
+from studies.experiments import measured
 from studies.results import Result, scores_file
 from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
 from workbench.advice import Advice, advice
@@ -36,7 +36,7 @@ from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
-from workbench.simulate import replay, simulate
+from workbench.simulate import replay
 
 Say = Callable[[str], None]
 
@@ -169,10 +169,9 @@ def _simulate(seed: int, folder: Path, progress: Say) -> Records:
         drawn = []
         for name in EXPERIMENTS:
             progress(f"simulating {name}, seed {number}")
-            todo = plan(WEB_WINDING.name, name)
-            run = simulate(WEB_WINDING, todo.controller, todo.scenario(number))
-            write_csv(run.experiment, folder / sub / f"{name}.csv")
-            drawn.append(run.experiment.with_roles(inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,)))
+            run = measured(WEB_WINDING, name, number)
+            write_csv(run, folder / sub / f"{name}.csv")
+            drawn.append(run.with_roles(inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,)))
         both.append(tuple(drawn))
     estimation, held_out = Dataset(both[0]).split_records(ESTIMATION)
     return Records(estimation, held_out, Dataset(both[1]), tuple(folder / "records" / f"{name}.csv" for name in EXPERIMENTS))

@@ -210,11 +210,15 @@ def load_sweep(path: str | Path) -> Sweep:
         or len({*seeds}) < len(seeds)
     ):
         raise top.refused("seeds", kind(seeds), "expected whole numbers from 0 on, each once: seeds = [1, 2, 3]")
-    outputs = top.content.get("outputs", [])
-    if not isinstance(outputs, list) or not all(isinstance(name, str) for name in outputs):
-        raise top.refused("outputs", kind(outputs), "expected a list of names")
     return Sweep(
-        run, factors, design, count, top.whole("seed", 0), tuple(seeds), tuple(outputs), top.table("fixed", None).content
+        run,
+        factors,
+        design,
+        count,
+        top.whole("seed", 0),
+        tuple(seeds),
+        top.texts("outputs", ()),
+        top.table("fixed", None).content,
     )
 
 

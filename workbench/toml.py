@@ -80,6 +80,15 @@ class Table:
             raise self.refused(key, kind(value), "expected a text")
         return value
 
+    def texts(self, key: str, default: Sequence[str] | None = None) -> tuple[str, ...]:
+        """A list of texts; without a default it must be there."""
+        value = self.content.get(key, default)
+        if value is None:
+            raise InputError(f"{key} is missing", file=self.file, mend=f'give {key} = ["..", ".."]')
+        if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(text, str) for text in value):
+            raise self.refused(key, kind(value), "expected a list of texts")
+        return tuple(value)
+
     def flag(self, key: str, default: bool) -> bool:
         value = self.content.get(key, default)
         if not isinstance(value, bool):

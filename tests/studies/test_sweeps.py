@@ -16,7 +16,7 @@ import pytest
 from controllers.files import save_controller
 from plants import PLANTS
 from studies.cli import main
-from studies.sweeps import ClosedLoop
+from studies.jobs.closed_loop import ClosedLoop
 from tests.controllers.test_nmpc import winding
 from tests.studies.test_robust_winding import law
 from workbench import sweep as engine
@@ -99,7 +99,7 @@ class OnProcesses(ClosedLoop):
 def test_threads_and_processes_give_the_same_rows_to_the_last_bit(asked, tmp_path, monkeypatch):
     assert main(["sweep", "sweep.toml", "--out", "one", "--json", "one.json"]) == 0
     with monkeypatch.context() as patch:
-        patch.setattr("studies.sweeps.ClosedLoop", OnProcesses)
+        patch.setattr("studies.jobs.closed_loop.ClosedLoop", OnProcesses)
         assert main(["sweep", "sweep.toml", "--out", "processes", "--jobs", "2"]) == 0
     assert read_rows("one/sweep.sqlite").rows == read_rows("processes/sweep.sqlite").rows
     assert main(["sweep", "sweep.toml", "--out", "two", "--jobs", "2"]) == 0

@@ -21,7 +21,7 @@ from workbench.report.figures.robustness import beside_limits, guaranteed
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses, frozen_steps
 from workbench.report.figures.scores import score_dots
 from workbench.report.figures.simulation import measured_and_simulated, responses
-from workbench.report.figures.sweeps import Bar, parallel, scatter, surface, tornado
+from workbench.report.figures.sweeps import Bar, courses, parallel, scatter, surface, tornado
 
 __all__ = [
     "BEYOND",
@@ -39,6 +39,7 @@ __all__ = [
     "beside_limits",
     "closed_loop",
     "coefficient_functions",
+    "courses",
     "domains",
     "envelope",
     "frozen_responses",

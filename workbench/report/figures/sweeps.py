@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 import workbench.report.figures.canvas as canvas
+from workbench.data import Channel
 from workbench.records import RecordError, record
 from workbench.report.blocks import Column, Data, Picture
 from workbench.report.figures.canvas import Trace
@@ -136,3 +137,45 @@ def scatter(title: str, factors: Sequence[Trace], output: Trace, caption: str) -
     columns = tuple(Column(t.channel.name, t.values, t.channel.unit) for t in (*factors, output))
     said = f"Scatter charts of {output.channel.name} over {', '.join(x.channel.name for x in factors)}"
     return Picture(title, svg, caption, Data(title, columns), said)
+
+
+def courses(
+    title: str, over: Channel, panels: Mapping[str, Mapping[str, Sequence[tuple[np.ndarray, np.ndarray]]]], caption: str, *,
+    log: bool = False,
+) -> Picture:  # fmt: skip
+    """Groups of runs (x, y), each (n,): a dot for every run, a line through the medians of the groups; by name, a panel each.
+
+    log: x is drawn logarithmically.
+    """
+    names = list(dict.fromkeys(name for own in panels.values() for name in own))
+    columns: list[Column] = []
+    with canvas.style():
+        figure, every = canvas.panels(len(panels), canvas.label(over), sharey=False)
+        handles: dict[str, object] = {}
+        for i, (axes, (panel, own)) in enumerate(zip(every, panels.items(), strict=True)):
+            for name, groups in own.items():
+                j = names.index(name)
+                x, y = (np.concatenate([np.asarray(g[k], float) for g in groups]) for k in (0, 1))
+                keep = np.isfinite(x) & np.isfinite(y)
+                whole = [g for g in groups if np.isfinite(g[0]).any() and np.isfinite(g[1]).any()]
+                middle = np.array([[np.nanmedian(g[0]), np.nanmedian(g[1])] for g in whole]).reshape(-1, 2)
+                canvas.dots(axes, x[keep], y[keep], canvas.colour(j), f"runs-{i}-{j}", size=2.2)
+                handles[name] = canvas.line(
+                    axes, middle[:, 0], middle[:, 1], canvas.colour(j), f"medians-{i}-{j}", dash=canvas.dash(j), width=1.3
+                )
+                columns += [Column(f"{panel}, {name}: x", x), Column(f"{panel}, {name}", y)]
+            axes.set_title(canvas.short(panel))
+            axes.yaxis.set_major_locator(MaxNLocator(4))
+            if log:
+                axes.set_xscale("log")
+                places = np.unique([np.nanmedian(g[0]) for groups in own.values() for g in groups])
+                places = places[np.linspace(0, len(places) - 1, min(len(places), 6)).round().astype(int)]
+                axes.set_xticks(places, [f"{place:.2g}" for place in places])
+                axes.set_xticks([], minor=True)
+            else:
+                axes.xaxis.set_major_locator(MaxNLocator(4))
+        if len(names) > 1:
+            canvas.legend(figure, list(handles.values()), list(handles))
+        svg = canvas.render(figure)
+    said = f"Medians and runs over {over.name}: {', '.join(panels)}" + f"; {', '.join(names)}" * (len(names) > 1)
+    return Picture(title, svg, f"{caption} Dots: runs; lines: medians.", Data(title, tuple(columns)), said)
