@@ -247,14 +247,14 @@ def lost_on_an_edge(loop: UncertainLoop, kappa: float) -> np.ndarray | None:
             z = np.roots(np.trim_zeros(np.where(np.abs(crossing) > 1e-14 * np.abs(crossing).max(), crossing, 0.0)))
             z = np.append(z[np.abs(np.abs(z) - 1.0) < 1e-4], [1.0, -1.0])
             z = z / np.abs(z)
-            above, below = np.polyval(a, z), np.polyval(b, z)
+            # at the circle by gains: where many poles lie close to it, rounding is larger than the polynomials themselves
+            g = kappa * _gains(loop, np.angle(z))
+            above, below = 1.0 - g @ delta, g[:, i]
             with np.errstate(divide="ignore", invalid="ignore"):
-                t = -above / below
-            lost = (np.abs(t.real) <= 1.0) & (np.abs(t.imag) <= 1e-6)
-            lost |= (np.abs(above) <= 1e-12 * np.abs(a).sum()) & (np.abs(below) <= 1e-12 * np.abs(b).sum())
+                t = np.where((np.abs(above) <= 1e-12) & (np.abs(below) <= 1e-12), 0.0, above / below)  # 0: any number does
+            lost = (np.abs(np.real(t)) <= 1.0) & (np.abs(np.imag(t)) <= 1e-6)
             if lost.any():
-                first = float(np.nan_to_num(t[lost.argmax()].real))
-                return delta + first * np.eye(p)[i]
+                return delta + float(np.real(t[lost.argmax()])) * np.eye(p)[i]
     return None
 
 

@@ -107,6 +107,19 @@ def test_valleys_beside_a_pole_near_the_circle(seed):
     assert size(loop.at(0.999 * found.kappa * np.concatenate([edge, edge[:, ::-1]]))).max() < 1.0
 
 
+def test_many_poles_close_to_one_are_not_taken_for_poles_on_the_circle():
+    """A model of many slow local models: its characteristic polynomial at 1 is far below the rounding of its coefficients."""
+    A = np.diag(np.linspace(0.94, 0.985, 12)) + 0.01 * np.eye(12, k=-1)
+    C = np.zeros((2, 12))
+    C[0, 0], C[1, -1] = 1.0, -1.0
+    loop = UncertainLoop(A, np.eye(12, 1), C, [0.001, 0.0005], [0, 0])
+    found = margin(loop).frozen
+    assert found.exact
+    assert size(loop.at(found.kappa * found.delta)) == pytest.approx(1.0, abs=1e-6)
+    edge = np.concatenate([np.stack([np.linspace(-1, 1, 400), np.full(400, s)], -1) for s in (-1.0, 1.0)])
+    assert size(loop.at(0.999 * found.kappa * np.concatenate([edge, edge[:, ::-1]]))).max() < 1.0
+
+
 def test_a_narrow_resonance_is_not_missed():
     """A pair of poles 1e-5 from the circle: a grid of some thousand frequencies does not see it."""
     angle, near = 1.2345678, 1.0 - 1e-5
