@@ -3,7 +3,8 @@
     t [s],V1 [V],w3 [rad/s],theta [deg],w3_set [rad/s]
     0.00,1.25,10.1,-0.4,10
 
-Comma, semicolon or tab; decimal point; UTF-8; one file is one experiment, named by its stem.
+Comma, semicolon or tab; decimal point, or decimal comma between semicolons; units in square or round brackets; UTF-8; one file
+is one experiment, named by its stem.
 """
 
 import codecs
@@ -23,7 +24,7 @@ from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.records import record
 
-TIME_NAMES = ("t", "time", "Time")
+TIME_NAMES = ("t", "time", "Time", "Zeit")
 
 #: What reads MAT files, in a process of its own.
 MAT_READER = Path(__file__).with_name("loadmat.py")
@@ -231,8 +232,10 @@ def _check_file(path: Path) -> None:
 
 # ---- CSV -------------------------------------------------------------------------------------------------------------
 
-# name, then a unit in square brackets where there is one
-_HEADER_CELL = re.compile(r"\s*([^\[\](),;\t\r\n\"]*?)\s*(?:\[\s*([^\[\],;\t\r\n\"]*?)\s*\])?\s*")
+# name, then a unit in square or round brackets where there is one; y(1) is no unit
+_HEADER_CELL = re.compile(
+    r"\s*([^\[\](),;\t\r\n\"]*?)\s*(?:\[\s*([^\[\],;\t\r\n\"]*?)\s*\]|\(\s*(?!\d*\s*\))([^\[\](),;\t\r\n\"]+?)\s*\))?\s*"
+)
 
 
 @record
@@ -286,10 +289,10 @@ def _header(path: Path) -> _Header:
         match = _HEADER_CELL.fullmatch(cell)
         if not match or not match[1]:
             problem = f"column {number} has no name" if not cell else f"column {number}: {cell!r} is no channel name"
-            mend = "write name [unit], the unit in square brackets or left out; no delimiter at the end of the line"
+            mend = "write name [unit], the unit in brackets or left out; no delimiter at the end of the line"
             raise InputError(problem, file=path, line=line, mend=mend)
         names.append(match[1])
-        units.append(match[2] or "")
+        units.append(match[2] or match[3] or "")
     for name in names:
         if names.count(name) > 1:
             raise InputError(
@@ -360,20 +363,11 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 def _table(path: Path, header: _Header) -> np.ndarray:
     """All rows as numbers (N, cells): C-fast, and line by line only to say what is wrong."""
     wanted = len(header.names)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # "no data": the caller reports it, with the place
-            # an absolute path: numpy opens what looks like an address, and reads a path in large blocks
-            table = np.loadtxt(
-                str(path.resolve()),
-                delimiter=header.delimiter,
-                skiprows=header.line,
-                comments=None,
-                ndmin=2,
-                encoding="utf-8-sig",
-            )
-    except (ValueError, UnicodeDecodeError):
-        table = None
+    # an absolute path: numpy opens what looks like an address, and reads a path in large blocks
+    table = _numbers(str(path.resolve()), header)
+    if table is None and header.delimiter == ";":
+        with open(path, encoding="utf-8-sig", errors="replace") as stream:
+            table = _numbers((line.translate(_POINTS) for line in stream), header)
     if table is not None and not table.size:
         return np.empty((0, wanted))
     if table is None or table.shape[1] != wanted or not np.isfinite(table).all():
@@ -381,14 +375,31 @@ def _table(path: Path, header: _Header) -> np.ndarray:
     return table
 
 
+#: Decimal commas to points; a point beside them, of thousands, makes no number.
+_POINTS = str.maketrans({",": ".", ".": "_"})
+
+
+def _numbers(source: str | Iterable[str], header: _Header) -> np.ndarray | None:
+    """The rows below the header; None where something in them is no number."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # "no data": the caller reports it, with the place
+            return np.loadtxt(
+                source, delimiter=header.delimiter, skiprows=header.line, comments=None, ndmin=2, encoding="utf-8-sig"
+            )
+    except (ValueError, UnicodeDecodeError):
+        return None
+
+
 def _rows(path: Path, header: _Header) -> Iterator[list[float]]:
     """The numbers of each row; the first row that breaks the contract is refused."""
+    commas = header.delimiter == ";" and any("," in text for line, text in _lines(path) if line > header.line)
     for line, text in _lines(path):
         if line > header.line and text.strip():
             cells = text.split(header.delimiter)
             if len(cells) != len(header.names):
                 raise _wrong_count(path, header, line, cells)
-            yield [_cell(path, header, line, k, cell) for k, cell in enumerate(cells)]
+            yield [_cell(path, header, line, k, cell, commas) for k, cell in enumerate(cells)]
 
 
 def _wrong_count(path: Path, header: _Header, line: int, cells: list[str]) -> InputError:
@@ -407,9 +418,9 @@ def _wrong_count(path: Path, header: _Header, line: int, cells: list[str]) -> In
     return InputError(problem, file=path, line=line, mend=mend)
 
 
-def _cell(path: Path, header: _Header, line: int, k: int, text: str) -> float:
+def _cell(path: Path, header: _Header, line: int, k: int, text: str, commas: bool) -> float:
     text = text.strip()
-    value = _number(text)
+    value = _number(text.translate(_POINTS) if commas else text)
     if value is not None and math.isfinite(value):
         return value
     mend = "repair the value, or cut the record there into two files"
@@ -417,8 +428,12 @@ def _cell(path: Path, header: _Header, line: int, k: int, text: str) -> float:
         problem = "empty cell, expected a number"
     elif value is not None:
         problem = f"{text} is not finite, expected a number"
+    elif commas and "." in text:
+        problem = f"a point in {text[:40]!r}, and other cells have decimal commas"
+        mend = "write all numbers of the file one way, without a mark for thousands"
     elif re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", text):
-        problem, mend = f"decimal comma in {text!r}, expected a decimal point", "export with decimal points"
+        problem = f"decimal comma in {text!r}, expected a decimal point"
+        mend = "export with decimal points, or with semicolons between the cells"
     else:
         problem, mend = f"text {text[:40]!r}, expected a number", "write a plain number with a decimal point"
     raise InputError(problem, file=path, line=line, channel=header.names[k], mend=mend)
@@ -448,7 +463,9 @@ def _sample_time(path: Path, name: str, t: np.ndarray, line_of: Callable[[int], 
 
 
 def _stamp_error(path: Path, name: str, bad: BadStamp, dt: float, line: int | None) -> InputError:
-    cut = f"cut the file there into two records, trim(stop={bad.after:.10g}) and trim(start={bad.after:.10g})"
+    row = f"line {line}" if line is not None else f"sample {bad.index + 1}"
+    header = ", the header on top of both" if line is not None else ""
+    cut = f"cut it there into two files: what comes before {row}, and {row} and what follows{header}"
     if bad.fault == "gap":
         problem = f"gap of {bad.after - bad.before:.6g} s before t = {bad.after:.10g} s, expected steps of {dt:.6g} s"
         mend = cut

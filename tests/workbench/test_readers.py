@@ -117,6 +117,14 @@ def test_a_large_file_reads_fast(tmp_path):
     assert time.perf_counter() - start < 2.0  # 0.2 s here; a Python loop over the cells takes longer than 2 s
 
 
+def test_a_german_sheet_is_read_as_it_is(tmp_path):
+    text = "Zeit (s);Drehzahl (1/min);Weg [mm]\r\n0;-1,5;1e-3\r\n0,005;1000;,5\r\n0,01;2,25;-0,125\r\n"
+    record = read(put(tmp_path, text))
+    assert list(map(str, record.channels)) == ["Drehzahl [1/min]", "Weg [mm]"]
+    assert record.dt == 0.005
+    np.testing.assert_array_equal(record.values, [[-1.5, 1e-3], [1000.0, 0.5], [2.25, -0.125]])
+
+
 # ---- bad files -------------------------------------------------------------------------------------------------------
 
 # what the file holds, then the line, the channel and words of the problem and of the mend that must be named
@@ -132,7 +140,7 @@ BAD_LINES = {
     "decimal commas": (5, "0,3,1,0,0,0,0,0,1,10,0", None, "11 cells, expected 6", "decimal commas"),
     "repeated": (5, "0.2,1,0,0,0.1,10", "t", "0.2 s is repeated", "logged twice"),
     "backwards": (5, "0.05,1,0,0,0.1,10", "t", "goes back from 0.2 s to 0.05 s", "two runs in one file"),
-    "gap": (5, "0.36,1,0,0,0.1,10", "t", "gap of 0.16 s before t = 0.36 s", "trim(stop=0.36)"),
+    "gap": (5, "0.36,1,0,0,0.1,10", "t", "gap of 0.16 s before t = 0.36 s", "into two files: what comes before line 5,"),
 }
 
 
@@ -161,17 +169,28 @@ def test_a_truncated_last_line_is_named(tmp_path):
     assert "cut off" in error.mend
 
 
-def test_decimal_commas_between_semicolons_are_named(tmp_path):
-    error = refusal(put(tmp_path, "t;y\n0,0;1,5\n0,1;1,6\n0,2;1,7\n"))
+def test_decimal_commas_between_tabs_are_named(tmp_path):
+    """There 1,234 may be a thousand."""
+    error = refusal(put(tmp_path, "t\ty\n0,0\t1,5\n0,1\t1,6\n0,2\t1,7\n"))
     assert (error.line, error.channel) == (2, "t")
     assert "decimal comma in '0,0'" in error.problem
+
+
+def test_a_point_among_decimal_commas_is_no_number(tmp_path):
+    for text in ("1.234", "1.234,5", "1_0"):
+        error = refusal(put(tmp_path, f"t;y\n0;{text}\n0,1;1,6\n0,2;1,7\n"))
+        assert (error.line, error.channel) == (2, "y")
+    assert "a point in '1.234'" in refusal(put(tmp_path, "t;y\n0;1,5\n0,1;1.234\n0,2;1,7\n")).problem
+    assert "nan is not finite" in refusal(put(tmp_path, "t;y\n0;1,5\n0,1;nan\n0,2;1,7\n")).problem
+    assert "3 cells, expected 2" in refusal(put(tmp_path, "t;y\n0;1,5\n0,1;2;3\n0,2;1,7\n")).problem
+    assert refusal(put(tmp_path, "t;y\n0;1,5\n0,1;\xb5\n0,2;1,7\n".encode("latin-1"))).line == 3
 
 
 BAD_FILES = {
     "no header": ("0,1,2\n1,2,3\n2,3,4\n", 1, "no header", "t [s]"),
     "duplicate": ("t,y,y\n0,1,2\n1,2,3\n2,3,4\n", 1, "appears 2 times", "own name"),
     "no name": ("t,y,\n0,1,2\n", 1, "column 3 has no name", "delimiter at the end"),
-    "parentheses": ("t,y (V)\n0,1\n", 1, "'y (V)' is no channel name", "square brackets"),
+    "an index": ("t,y(1)\n0,1\n", 1, "'y(1)' is no channel name", "in brackets"),
     "no time": ("a,y\n0,1\n1,2\n2,3\n", 1, "no time column among a, y", "t [s]"),
     "blanks between": ("t y\n0 1\n1 2\n2 3\n", 1, "no time column among t y", "comma, semicolon or tab"),
     "time alone": ("t\n0\n1\n2\n", 1, "the only one", "comma, semicolon or tab"),
@@ -270,7 +289,7 @@ def test_bad_mat_files_are_told_apart(tmp_path):
     assert (broken.channel, "sample 3 is nan" in broken.problem) == ("y", True)
     gap = refusal(mat(tmp_path, t=[0, 1, 2, 5, 6, 7], y=np.ones(6)))
     assert "sample 4: gap" in gap.problem
-    assert "trim(stop=5)" in gap.mend
+    assert "into two files: what comes before sample 4," in gap.mend
     whole = mat(tmp_path, t=ramp, y=np.random.default_rng(1).standard_normal(5)).read_bytes()
     assert "cannot be read as a MAT file" in refusal(put(tmp_path, whole[:200], "a.mat")).problem
     assert "cannot be read as a MAT file" in refusal(put(tmp_path, "t,y\n" * 99, "a.mat")).problem
