@@ -244,7 +244,7 @@ def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[B
 def _excess(v: np.ndarray, bound: Bound, signal: int, linear: np.ndarray) -> np.ndarray:
     """By how much runs v (R N s) break a bound, (R N); -inf from where a command is at its stop."""
     excess = np.maximum(bound.low - v[:, :, signal], v[:, :, signal] - bound.high)
-    return np.where(np.arange(v.shape[1]) >= linear[:, None], -np.inf, np.nan_to_num(excess, nan=-np.inf))
+    return np.where(np.arange(v.shape[1]) >= linear[:, None], -np.inf, np.nan_to_num(excess, nan=-np.inf, neginf=-np.inf))
 
 
 def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:

@@ -121,6 +121,10 @@ def test_nothing_is_proved_beyond_what_a_command_may_be_at():
     # what happens after a command is at its stop refutes nothing: -2 x falls below -4.5 before x is above 2.4
     after = verdict(scalar(), bound(high=2.4), stops=[replace(stops[0], low=np.full(N, -4.5))])
     assert after.status is Status.UNDECIDED
+    # asked from sample 40 on, and the command is at its stop from sample 20 on
+    asked, late = np.where(np.arange(N) < 40, np.inf, 2.4), np.where(np.arange(N) < 20, -100.0, -1.0)
+    none = verdict(scalar(), replace(bound(high=2.4), high=asked), stops=[replace(stops[0], low=late)])
+    assert "; nothing was tried before" in none.sentence
 
 
 def drawn_loop(seed, n=3, p=2) -> UncertainLoop:
