@@ -127,7 +127,8 @@ class SSM:
     best. mu_factor: mu over its smallest feasible value, per output and order; None chooses among `factors` the same
     way (None: the ones in FACTORS). mu: the bound itself where the noise is known, in units of the output; it
     overrules mu_factor.
-    basis: None is {1, rho, .., rho^4, rho^-1, .., rho^-3} of [1] with rho over its middle value.
+    basis: None is {1, rho, .., rho^4, rho^-1, .., rho^-3} of [1] with rho over its middle value; where the records' schedule
+    reaches zero, {1, rho, .., rho^4} with rho over its largest size.
     feedthrough: a term D u(k) with constant D; None where the records show that inputs act within the sample.
     """
 
@@ -296,12 +297,8 @@ def _basis_and_span(basis: Basis | None, dataset: Dataset, schedule: Channel | N
     span = np.array([rho.min(), rho.max()])
     if basis is not None:
         return basis, span
-    if span[0] * span[1] <= 0:
-        raise InputError(
-            f"the schedule runs from {span[0]:g} to {span[1]:g} and the default basis has powers of 1/rho",
-            channel=schedule.name,
-            mend="give a basis, say Powers((0, 1, 2)) or PiecewiseLinear",
-        )
+    if span[0] * span[1] <= 0:  # where it may be zero there is no 1/rho
+        return Powers(EXPONENTS[EXPONENTS >= 0], float(np.abs(span).max()) or 1.0), span
     return Powers(EXPONENTS, _middle(rho)), span
 
 
