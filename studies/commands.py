@@ -349,13 +349,15 @@ def _say_advice(dataset: Dataset, order: int | None = None, *, warnings_only: bo
 
 
 def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[tuple[str, Any]]:
-    """Every method fitted, or with `best` the one that the last third of the estimation records prefers."""
+    """Every method fitted, or with `best` the one that runs best on parts of the estimation records that it was not fitted to."""
     if model == "best":
         from workbench.identify.selection import choose
 
         choice = choose(methods, dataset, progress=progress)
         result = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
-        say(f"chosen: {choice.method}; free-run FIT on the last third of the estimation records: {result}")
+        say(f"chosen: {choice.method}; free-run FIT on two fifths of the estimation records that it was not fitted to: {result}")
+        for name, reason in choice.failed.items():
+            say(f"warning: no {name} model: {reason}")
         yield choice.method, choice.model
         return
     refused: list[InputError] = []
@@ -364,7 +366,7 @@ def _fitted(model: str, methods: dict[str, Any], dataset: Dataset) -> Iterable[t
         try:
             yield name, method.fit(dataset)
         except InputError as reason:
-            say(f"warning: no {name} model: {reason.problem}")
+            say(f"warning: no {name} model: {reason.problem}" + (f"; {reason.mend}" if reason.mend else ""))
             refused.append(reason)
     if len(refused) == len(methods):
         raise refused[0]

@@ -218,6 +218,12 @@ def test_held_out_is_checked_not_believed(capsys, records, tmp_path):
     assert "named twice" in refused(capsys, "compare", model, model, "--records", c)
 
 
+def test_best_says_what_was_judged_on_what(capsys, records, tmp_path):
+    fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--order", "2", "--out", str(tmp_path))
+    assert main(["identify", str(records / "prbs1.csv"), *fit, "--model", "best"]) == 0
+    assert "on two fifths of the estimation records that it was not fitted to: lti" in capsys.readouterr().out
+
+
 def test_a_schedule_beyond_the_models_range_is_said(capsys, records, tmp_path):
     short = tmp_path / "short.csv"
     lines = (records / "prbs1.csv").read_text().splitlines(keepends=True)
