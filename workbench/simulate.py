@@ -224,6 +224,13 @@ def _lanes(
 
 def _check_scenario(plant: Plant, controller: Loop, scenario: Scenario, N: int) -> None:
     for name in (*controller.measured, *([controller.schedule] if controller.schedule else [])):
+        if name in plant.input_names and name not in plant.output_names:
+            raise InputError(
+                f"the law measures {name!r}, which is an input of {plant.name}",
+                file=controller.name,
+                channel=name,
+                mend=f"a loop needs a plant in which {name!r} is a state and an output",
+            )
         check_known("measured channel", name, plant.output_names, file=controller.name)
     for name in controller.actuated:
         check_known("input", name, plant.input_names, file=controller.name)

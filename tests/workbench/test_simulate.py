@@ -8,6 +8,7 @@ import pytest
 from plants import WEB_WINDING
 from studies.experiments import web_winding_loops
 from workbench.data import Channel
+from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.plant import Plant
 from workbench.simulate import Scenario, simulate
@@ -49,6 +50,15 @@ def test_a_dead_time_belongs_to_its_own_input():
     )  # fmt: skip
     np.testing.assert_allclose(run.states["a"], 0.1 * np.arange(20), atol=1e-12)
     np.testing.assert_allclose(run.states["b"], 0.1 * np.maximum(np.arange(20) - 5, 0), atol=1e-12)
+
+
+def test_a_law_that_measures_an_input_is_told_what_a_loop_needs():
+    law = Playback(("u",), 0.1, schedule="v")
+    with pytest.raises(InputError, match="the law measures 'v', which is an input of two-integrators") as caught:
+        simulate(PLANT, law, Scenario("s", {"u": np.ones(20)}))
+    assert "a state and an output" in caught.value.mend
+    with pytest.raises(InputError, match="unknown measured channel"):
+        simulate(PLANT, replace(law, schedule="w"), Scenario("s", {"u": np.ones(20)}))
 
 
 class Asked:
