@@ -23,7 +23,8 @@ from workbench.records import record
 
 @record
 class Chosen:
-    """A plant as it was asked for; base: the machine's name, the user's module:NAME or a model file; files: what was read.
+    """A plant as it was asked for; base: the machine's name, the user's module:NAME or a model file; files: what was read, the
+    user's own Python file among them.
 
     model: the file, where the plant is an identified model as it is.
     """
@@ -32,6 +33,12 @@ class Chosen:
     base: str
     files: tuple[str, ...] = ()
     model: str | None = None
+
+    @property
+    def machine(self) -> str:
+        """The machine of the workbench that it is, whose experiments fit: also with other effects and numbers; else its base."""
+        listed = PLANTS.get(self.plant.name)
+        return self.plant.name if listed is not None and listed.equation is self.plant.equation else self.base
 
 
 def find_plant(text: str) -> Plant:
@@ -54,7 +61,7 @@ def choose_plant(text: str) -> Chosen:
     and a plant of the user's own is named before it (`my_plant.py:PLANT+extended.json`).
     """
     if not text.endswith(".json"):
-        return Chosen(_base_plant(text), text)
+        return Chosen(_base_plant(text), text, _code(text))
     if _is_model(text):
         return Chosen(_base_plant(text), text, (text,), text)
     before, plus, path = text.rpartition("+")
@@ -65,7 +72,17 @@ def choose_plant(text: str) -> Chosen:
         mend = f"if you trust that plant, name it yourself: {found.base}+{path}"
         raise InputError(f"extends {found.base}, which is no machine of the workbench", file=path, mend=mend)
     base = before or found.base
-    return Chosen(found.of(_base_plant(base), file=path), base, (base, path) if _is_model(base) else (path,))
+    plant = found.of(_base_plant(base), file=path)
+    return Chosen(plant, base, (base, path) if _is_model(base) else (*_code(base), path))
+
+
+def _code(text: str) -> tuple[str, ...]:
+    """The Python file of module:NAME or file.py:NAME, which has been loaded."""
+    source, colon, _ = text.rpartition(":")
+    if not colon:
+        return ()
+    found = source if source.endswith(".py") else getattr(sys.modules[source], "__file__", None)
+    return (found,) if found else ()
 
 
 def _is_model(text: str) -> bool:
@@ -103,7 +120,9 @@ def _load_file(path: Path):
         raise InputError("no such file", file=path, mend="check the path")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
+    beside = str(path.resolve().parent)  # as for `python file.py`, but after all that is installed
     try:
+        sys.path.append(beside)
         spec.loader.exec_module(module)
     except SyntaxError as reason:
         raise InputError(f"{reason.msg}", file=path, line=reason.lineno, mend="is it Python?") from None
@@ -111,6 +130,8 @@ def _load_file(path: Path):
         raise
     except Exception as reason:
         raise InputError(f"{type(reason).__name__}: {reason}", file=path, mend="run the file with python first") from reason
+    finally:
+        sys.path.remove(beside)
     return module
 
 

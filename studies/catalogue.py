@@ -81,6 +81,7 @@ def effects_page() -> str:
         "effect; a shape (a width, a time constant) has a usual value. Positive sizes act as the equation says, with its signs.",
         "`workbench effects PLANT` says the same of one plant, in its units.\n",
         "```sh\nworkbench effects welding-robot\n```\n",
+        "A law that is missing here is written in some 30 lines: [Add your own effect](add-an-effect.md).\n",
         "The texts are those of the effects' own records: `python -m studies.catalogue` writes this page.\n",
     ]
     for family in dict.fromkeys(effect.family for effect in EFFECTS.values()):

@@ -75,7 +75,7 @@ def simulate(options: Namespace) -> int:
     if options.seed is None:
         options.seed = 0
     found = choose_plant(options.plant)
-    plant, machine = found.plant, found.base
+    plant, machine = found.plant, found.machine
     effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)
     start = parse_numbers(options.start)
     chosen = options.experiment
@@ -91,7 +91,7 @@ def simulate(options: Namespace) -> int:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}{other}")
-    own_law = load_controller(options.controller, lambda base: trusted_plant(base, machine)) if options.controller else None
+    own_law = load_controller(options.controller, lambda base: trusted_plant(base, found.base)) if options.controller else None
     if own_law and options.inputs_from:
         mend = "a replay has no loop to close; --setpoint Y=V,.. runs the loop"
         raise InputError("--controller and --inputs-from exclude each other", mend=mend)

@@ -40,7 +40,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     chosen = choose_plant(options.plant)
     heard: list[str] = []
     records = read_records(options, chosen.plant, heard.append)
-    templates = templates_of(options.plant, chosen.plant, records.own)
+    templates = templates_of(chosen.machine, chosen.plant, records.own)
     found = diagnose(chosen.plant, records.own, records.held_out, templates=templates, progress=progress)
     progress("simulating data sheet, recalibrated and extended plant")
     shown_at = stages(chosen.plant, found, records.own, records.held_out or records.own)

@@ -6,7 +6,6 @@ import numpy as np
 
 from workbench.diagnose.answer import Cause, Diagnosis, Finding, Gain, Limit
 from workbench.diagnose.stages import StageError
-from workbench.physics.effects import EFFECTS
 
 HEADLINES = {
     Finding.NAMED: "NAMED: what the simulation of {plant} lacks has a name and a size; mend the machine, or go on with the "
@@ -109,8 +108,8 @@ def next_step(found: Diagnosis) -> str:
         return f"What to measure next: {ended(found.next_experiment.sentence)}"
     for cause in found.causes:
         if cause.ties:
-            separates = EFFECTS[cause.effect].separates
-            return f"No experiment was found that would tell {cause.key} from {', '.join(cause.ties)}; what would: {separates}"
+            rivals = ", ".join(cause.ties)
+            return f"No experiment was found that would tell {cause.key} from {rivals}; what would: {cause.separates}"
     if found.finding is Finding.NAMED:
         return "No further experiment is proposed: no other effect explains these records as well."
     if found.finding is Finding.NOTHING:

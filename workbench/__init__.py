@@ -28,8 +28,9 @@ from workbench.intervals.regressors import ARX, FIR
 from workbench.intervals.semantics import InclusionAll, InclusionExact, InclusionPaper, Overlap
 from workbench.lpv import Gaussian, LPVModel, PiecewiseLinear, Powers, load_model
 from workbench.metrics import fit, noise_ceiling, rm, rmse, score
-from workbench.physics.controller import Controller, Playback
+from workbench.physics.controller import Controller, Playback, Stepped
 from workbench.physics.effects import EFFECTS
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit
 from workbench.physics.effects.pulley import Pulley
 from workbench.physics.effects.reel import Reel
 from workbench.physics.effects.robot import Robot
@@ -44,10 +45,10 @@ from workbench.sweep import load_sweep, read_rows, run_sweep
 
 __all__ = [
     "ARX", "EFFECTS", "FIR", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "BySchedule", "Channel", "Controller",
-    "Dataset", "Experiment", "Gaussian", "InTime", "InclusionAll", "InclusionExact", "InclusionPaper", "InputError",
-    "IntervalModel", "IntervalRegression", "LPVModel", "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear",
-    "Plant", "Playback", "Powers", "Pulley", "Reel", "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start", "Winding",
-    "advice", "check_units", "cover", "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling",
-    "read", "read_all", "read_rows", "replay", "residual_test", "rm", "rmse", "run_sweep", "score", "segments", "simulate",
-    "simulate_batch", "write_csv",
+    "Dataset", "Domain", "Effect", "EffectParameter", "Experiment", "Gaussian", "GridUnit", "InTime", "InclusionAll",
+    "InclusionExact", "InclusionPaper", "InputError", "IntervalModel", "IntervalRegression", "LPVModel",
+    "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear", "Plant", "Playback", "Powers", "Pulley", "Reel",
+    "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start", "Stepped", "Winding", "advice", "check_units", "cover",
+    "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling", "read", "read_all", "read_rows",
+    "replay", "residual_test", "rm", "rmse", "run_sweep", "score", "segments", "simulate", "simulate_batch", "write_csv",
 ]  # fmt: skip

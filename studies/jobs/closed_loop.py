@@ -3,7 +3,6 @@
 Parameters are those of the plant, and numbers of its effects: J1, coulomb@unwind:level.
 """
 
-import importlib
 import json
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -181,12 +180,7 @@ def _machine(plant: str, sources: tuple[tuple[str, str], ...]) -> Plant:
 
 def _sources(plant: str) -> dict[str, str]:
     """The files of one's own plant: of its module, and those that extend it."""
-    chosen = choose_plant(plant)
-    module, colon, _ = chosen.base.rpartition(":")
-    if colon:
-        found = module if module.endswith(".py") else importlib.import_module(module).__file__
-        return {str(Path(path).resolve()): sha256(path) for path in (found, *chosen.files) if path}
-    return {str(Path(path).resolve()): sha256(path) for path in chosen.files}
+    return {str(Path(path).resolve()): sha256(path) for path in choose_plant(plant).files}
 
 
 @lru_cache(maxsize=8)

@@ -52,6 +52,7 @@ def cause(effect="coulomb", place="rail", value=0.3, **more):
         {"level": Estimate(value, value - 0.01, value + 0.01, "N")},
         gains,
         Evidence(812.0, 1e-12, 0.9),
+        separates="A stop or a reversal.",
         **more,
     )
 

@@ -56,6 +56,7 @@ class Cause:
     """A named effect: "coulomb@unwind", one sentence, its numbers, what it gains on held-out records, evidence and rivals.
 
     ties: rivals that these records cannot tell from it, with their weights; stable: it has the same size in all records.
+    separates: what tells it from its look-alikes.
     """
 
     effect: str
@@ -66,6 +67,7 @@ class Cause:
     evidence: Evidence
     ties: Mapping[str, float] = field(default_factory=dict)
     stability: float = 1.0  # p-value of one size in all records
+    separates: str = ""
 
     @property
     def key(self) -> str:

@@ -566,6 +566,7 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
         evidence=Evidence(step.gain, step.score.p_family, 1.0 / total),
         ties={key: w / total for key, w in sorted(weights.items(), key=lambda item: -item[1])},
         stability=step.stable,
+        separates=slot.effect.separates,
     )
 
 

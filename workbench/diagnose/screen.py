@@ -18,7 +18,7 @@ from scipy.stats import gamma, gumbel_r
 from workbench.diagnose.fit import Fit, _inverse
 from workbench.diagnose.predictor import Predictor
 from workbench.diagnose.scan import Scan, scan_frequencies, scan_orders
-from workbench.physics.effects.effect import EffectParameter, GridUnit
+from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
@@ -28,7 +28,6 @@ COARSE, FINE = 3, 6  # values of a shape's grid that are screened; of a date or 
 RAN_AWAY = 1e6  # standard deviations
 FEW = 12  # blocks, below which flipping signs gives no distribution
 SIGNIFICANT = 0.01  # family-wise
-PER_TURN = "1/turn"
 SHOWN = 5.0  # standard deviations at which an effect counts as shown
 
 

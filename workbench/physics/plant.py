@@ -23,6 +23,7 @@ from workbench.physics.effects import effects_of
 from workbench.physics.effects.actuator import Actuator, Driven
 from workbench.physics.effects.effect import FOREVER, Effect, EffectParameter, Named
 from workbench.physics.effects.sensor import Sensor
+from workbench.physics.own_effects import check_own
 from workbench.readers import UNITS
 from workbench.records import field, record
 
@@ -110,7 +111,8 @@ class Plant:
     noise: standard deviation of each measured channel, white per sample; disturbance: of an unlogged signal added to each
     input, white per sample. limits: (low, high) of states within which the equation means something. substeps: integrator
     steps per sample that keep the error of a run below 1e-4 of its range. effects: missing physics that a diagnosis has added,
-    {"coulomb@unwind": {"level": 0.002}}; it acts wherever nothing else is asked for.
+    {"coulomb@unwind": {"level": 0.002}}; it acts wherever nothing else is asked for. own_effects: missing physics that the
+    catalogue does not hold; it joins the catalogue at every port of its family.
 
     process: standard deviation of unlogged rates of change of states, white per sample, where they are known; a diagnosis else
     expects them where a port or an input moves a state.
@@ -141,6 +143,7 @@ class Plant:
     process: Mapping[str, float] = field(default_factory=dict)
     discrete: bool = False
     meaning: Mapping[str, str] = field(default_factory=dict)
+    own_effects: tuple[Effect, ...] = ()
 
     def __post_init__(self):
         for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
@@ -164,6 +167,7 @@ class Plant:
                 check_known("state", port.tension, self.state_names, file=self.name)
             if hasattr(port, "arm"):
                 check_known("input", port.arm, self.input_names, file=self.name)
+        check_own(self.own_effects, self.all_ports, self.name)
 
     # ---- names ---------------------------------------------------------------------------------------------------
 
@@ -233,7 +237,7 @@ class Plant:
     def offered(self) -> dict[tuple[str, str], tuple[Effect, ...]]:
         """(family, place) -> the effects that fit the port there, in the order in which they act."""
         return {
-            (q.family, q.place): tuple(q.worded(effect) for effect in effects_of(q.family) if q.fits(effect))
+            (q.family, q.place): tuple(q.worded(effect) for effect in effects_of(q.family, self.own_effects) if q.fits(effect))
             for q in self.all_ports
         }
 
@@ -263,7 +267,7 @@ class Plant:
         return self._kept("actuator", self.commanded)
 
     def _kept(self, family: str, places: Sequence[str]) -> tuple[tuple[str, Effect], ...]:
-        return tuple((name, effect) for name in places for effect in effects_of(family) for _ in range(effect.memories))
+        return tuple((name, effect) for name in places for effect in self.offered[family, name] for _ in range(effect.memories))
 
     # ---- numbers from names --------------------------------------------------------------------------------------
 

@@ -1,4 +1,6 @@
-"""The catalogue of missing physics: one file per port family, one registry."""
+"""The catalogue of missing physics: one file per port family, one registry. A plant may have effects of its own beside it."""
+
+from collections.abc import Sequence
 
 from workbench.physics.effects import actuator, pulley, reel, robot, sensor, shaft, span, winding
 from workbench.physics.effects.effect import Effect
@@ -8,6 +10,10 @@ EFFECTS: dict[str, Effect] = {
 }
 
 
-def effects_of(family: str) -> tuple[Effect, ...]:
-    """All effects of a port family, in the order in which they act."""
-    return tuple(effect for effect in EFFECTS.values() if effect.family == family)
+def effects_of(family: str, own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+    """All effects of a port family, in the order in which they act; those of `own` before the last of the catalogue.
+
+    The last one of a sensor is its converter, of an actuator its dead time; of the other families the order says nothing.
+    """
+    listed, joining = (tuple(effect for effect in some if effect.family == family) for some in (EFFECTS.values(), own))
+    return (*listed[:-1], *joining, *listed[-1:])

@@ -5,12 +5,13 @@ sample:  law(e, m, u, dt) -> (m, u).  The input delay is no map: it shifts the h
 where a shifted hold changes, so that any delay, whole samples or not, is exact.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Port
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Named, Port
 from workbench.records import record
 
 
@@ -143,6 +144,8 @@ class Actuator(Port):
     unit: str
     family = "actuator"
     symbols = "acting: what arrives at the machine; u: the logged command; before: m a sample earlier, dt: the sample time"
+    law = "law(e, u, t) -> acting, or with memories=1 law(e, m, u, dt) -> (m, acting)"
+    memories = 1
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in the input's own unit."""
@@ -158,3 +161,11 @@ class Actuator(Port):
             else:
                 u = effect.law(e, u, t)
         return Driven(u, after)
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """By how much what acts differs from the command; what it keeps has not moved yet."""
+        u = some()
+        if not effect.memories:
+            return [effect.law(e, u, some()) - u]
+        _, acting = effect.law(e, 0.0, u, 0.01)
+        return [acting - u]

@@ -5,6 +5,7 @@ The same object is truth when a plant switches it on and an explanation when a d
 
 from collections.abc import Callable
 from enum import Enum
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -53,6 +54,9 @@ class Domain(Enum):
     TIME = "what is missing over time"
 
 
+PER_TURN = "1/turn"
+
+
 @record
 class EffectParameter:
     """One number of an effect. A size is exactly neutral at 0; a shape (width, time constant) has a default instead.
@@ -74,6 +78,10 @@ class EffectParameter:
             raise InputError(f"size {self.name!r} must be 0 by default: 0 is neutral")
         if not self.shape and self.grid:
             raise InputError(f"size {self.name!r} has a grid: the grid of a size belongs to its effect")
+        if not self.low <= self.default <= self.high:
+            raise InputError(f"{self.name!r} is {self.default:g} by default, outside [{self.low:g}, {self.high:g}]")
+        if not self.name.isidentifier():
+            raise InputError(f"number {self.name!r}: expected a name as in Python, a law asks for it as e.name")
 
 
 @record
@@ -114,6 +122,12 @@ class Effect:
             raise InputError(f"effect {self.id!r}: a grid is for one size, here are {len(self.sizes)}")
         if self.phase and [p.name for p in self.sizes] != ["cosine", "sine"]:
             raise InputError(f"effect {self.id!r}: a phase needs the sizes cosine and sine")
+        if self.phase and [p.unit for p in self.parameters if p.shape] not in ([], [PER_TURN], ["Hz"]):
+            raise InputError(f"effect {self.id!r}: a phase goes with one shape at most, an order in 1/turn or a frequency in Hz")
+        if not self.id.replace("-", "_").isidentifier():
+            raise InputError(f"effect {self.id!r}: an id is made of letters, digits and hyphens, such as air-drag")
+        if not self.sizes:
+            raise InputError(f"effect {self.id!r}: one number at least must be a size, which at 0 is no effect")
 
     @property
     def sizes(self) -> tuple[EffectParameter, ...]:
@@ -123,11 +137,17 @@ class Effect:
 
 @record
 class Port:
-    """Where effects of one family act; `place` names it in an equation and in effect keys, such as coulomb@unwind."""
+    """Where effects of one family act; `place` names it in an equation and in effect keys, such as coulomb@unwind.
+
+    memories: how many numbers an effect may keep here from step to step; states: whether it may have a state of its own.
+    """
 
     place: str
     family = ""
     symbols = ""  # of the equations of its effects, with their signs
+    law = ""  # what the laws of its effects take and return
+    memories: ClassVar[float] = 0
+    states: ClassVar[bool] = False
 
     def fits(self, effect: Effect) -> bool:
         """Whether an effect of the family makes sense at this port."""
@@ -141,6 +161,11 @@ class Port:
     def worded(self, effect: Effect) -> Effect:
         """An effect whose texts are those of this port."""
         return effect
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """What a law does with the numbers `e`: all 0 while its sizes are 0. `some` makes an argument of it."""
+        del effect, e, some
+        return []
 
 
 FOREVER = 1e9  # s: after a hold of this length nothing moves any more

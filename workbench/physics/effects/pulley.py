@@ -3,7 +3,10 @@
 law(e) -> creep [m/s per N]: the web runs faster than the pulley surface by creep times the tension difference.
 """
 
-from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Port
+from collections.abc import Callable
+from typing import Any
+
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port
 from workbench.records import record
 
 
@@ -31,6 +34,7 @@ class Pulley(Port):
 
     family = "pulley"
     symbols = "slip: by how much the web runs faster than the surface; T1, T2: tensions before and behind the pulley"
+    law = "law(e) -> creep"
 
     def verbs(self, effects, context) -> dict:
         """creep(): web speed relative to the surface per newton of tension difference [m/s/N]."""
@@ -40,3 +44,8 @@ class Pulley(Port):
             return sum((effect.law(e) for effect, e in effects), start=0.0)
 
         return {"creep": creep}
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """The creep."""
+        del some
+        return [effect.law(e)]

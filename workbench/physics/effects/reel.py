@@ -3,6 +3,9 @@
 law(e, reel) -> (deviation [m], its rate of change [m/s]); `reel` has .angle [rad] and .speed [rad/s].
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port
@@ -36,6 +39,7 @@ class Reel(Port):
     speed: str
     family = "reel"
     symbols = "deviation: of the radius, positive outwards; phi: angle turned since the start of the record"
+    law = "law(e, reel) -> (deviation, its rate of change); reel has .angle, .speed"
 
     def verbs(self, effects, context) -> dict:
         """runout() -> deviation of the radius with .radius [m] and .rate [m/s]."""
@@ -46,3 +50,8 @@ class Reel(Port):
             return Named({"radius": sum(a for a, _ in parts), "rate": sum(b for _, b in parts)})
 
         return {"runout": runout}
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """The deviation and its rate of change."""
+        deviation, rate = effect.law(e, Named({"angle": some(), "speed": some()}))
+        return [deviation, rate]

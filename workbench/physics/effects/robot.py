@@ -8,6 +8,9 @@ that moment (electrode systems are hung on and taken off, wire is fed from a dru
 with it and pushes nothing.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Named, Port
@@ -89,6 +92,7 @@ class Robot(Port):
     symbols = (
         "force: on the platform, positive in the direction of positive speed; arm: angle of the arm; m: mass of the data sheet"
     )
+    law = "law(e, robot) -> (force, relative change of the mass); robot has .arm, .arm_rate, .t"
 
     def verbs(self, effects, context) -> dict:
         """force(): all effects' forces on the platform [N]; mass(m): the platform's mass m as they change it [kg]."""
@@ -102,3 +106,8 @@ class Robot(Port):
             return m * (1.0 + sum((change for _, change in given), start=0.0))
 
         return {"force": force, "mass": mass}
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """The force and the relative change of the mass."""
+        force, change = effect.law(e, Named({"arm": some(), "arm_rate": some(), "t": some()}))
+        return [force, change]

@@ -6,11 +6,13 @@ are exact for an input that is linear within the step. Then follow static maps o
 of the record is added before the last of them, the converter, so that a quantised record holds whole steps.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from workbench.physics.effects.effect import FOREVER, Domain, Effect, EffectParameter, GridUnit, Port
+from workbench.physics.effects.effect import FOREVER, Domain, Effect, EffectParameter, GridUnit, Named, Port
 from workbench.records import record
 
 
@@ -175,6 +177,8 @@ class Sensor(Port):
     unit: str
     family = "sensor"
     symbols = "z: what there is; reading: what is logged; before: the reading just before"
+    law = "law(e, z) -> reading, or with memories=n law(e, m, z0, z1, h) -> n numbers, its output first"
+    memories = np.inf
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in the output's own unit."""
@@ -204,3 +208,13 @@ class Sensor(Port):
         for effect, sizes in maps:
             z = effect.law(sizes, z)
         return converter.law(e, z + noise)
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """By how much its output differs from its input."""
+        z = some()
+        if not effect.memories:
+            return [effect.law(e, z) - z]
+        kept = effect.law(e, [some() for _ in range(effect.memories)], some(), z, 0.01)
+        if len(kept) != effect.memories:
+            raise ValueError(f"it keeps {len(kept)} numbers, memories={effect.memories}")
+        return [kept[0] - z]

@@ -7,7 +7,9 @@ Parameters are written for a shaft that turns. On one that slides the same laws 
 of a speed is tanh(speed/width), so that no law has a branch; every law of friction gives torque * speed <= 0 at any speed.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -172,10 +174,11 @@ class Shaft(Port):
         "torque: positive in the direction of positive speed; v: speed; phi: angle turned since the start of the record; "
         "load: as the plant's equation gives it; step: 0 before, 1 after, half way at 0"
     )
+    law = "law(e, shaft) -> torque; shaft has .speed, .angle, .t, and .load where the domain is LOAD"
 
     def fits(self, effect: Effect) -> bool:
         """All, but for friction in proportion to a load that the equation does not give."""
-        return self.loaded or effect is not LOAD_FRICTION
+        return self.loaded or effect.domain is not Domain.LOAD
 
     def verbs(self, effects, context) -> dict:
         """torque(load=None): the sum of all effects' torques on this shaft."""
@@ -194,6 +197,11 @@ class Shaft(Port):
     def turned(self, angle):
         """The angle of what turns [rad], from the integral of the speed."""
         return angle
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """The torque."""
+        load = some() if effect.domain is Domain.LOAD else None
+        return [effect.law(e, Named({"speed": some(), "angle": some(), "t": some(), "load": load}))]
 
 
 @record

@@ -4,6 +4,9 @@ law(e, span) -> (tension rate, rate of change of the effect's own state, if it h
 ends draw apart, .stiffness [N/m], .tension [N], .rest [N], the tension at which the stiffness is right, .t [s] and .state.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port, jump_time, smooth_step
@@ -93,6 +96,8 @@ class Span(Port):
         "T: tension; k: stiffness; e: speed at which the ends draw apart; rest: tension at which k is right; "
         "step: 0 before, 1 after, half way at 0"
     )
+    law = "law(e, span) -> (tension rate, rate of its own state or 0); span has .stretch, .stiffness, .tension, .rest, .t, .state"
+    states = True
 
     def verbs(self, effects, context) -> dict:
         """rate(stretch, stiffness, rest): what all effects add to T' = stiffness * stretch [N/s]; see the module."""
@@ -110,3 +115,9 @@ class Span(Port):
             return total
 
         return {"rate": rate}
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """The tension rate and the rate of its own state, which is 0 as long as it does not move."""
+        seen = {name: some() for name in ("stretch", "stiffness", "tension", "rest", "t")}
+        rate, moving = effect.law(e, Named(seen | {"state": 0.0}))
+        return [rate, moving]

@@ -3,7 +3,10 @@
 law(e, v) -> relative change of the layer's thickness, at surface speed v [m/s].
 """
 
-from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Port
+from collections.abc import Callable
+from typing import Any
+
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port
 from workbench.records import record
 
 
@@ -35,6 +38,7 @@ class Winding(Port):
 
     family = "winding"
     symbols = "thickness: of a layer on the reel; s: that of the tape; v: surface speed"
+    law = "law(e, v) -> relative change of the thickness"
 
     def verbs(self, effects, context) -> dict:
         """thickness(s, v): thickness of a layer of tape s [m] wound at surface speed v [m/s], as the effects change it."""
@@ -44,3 +48,7 @@ class Winding(Port):
             return s * (1.0 + sum((effect.law(e, v) for effect, e in effects), start=0.0))
 
         return {"thickness": thickness}
+
+    def beyond(self, effect: Effect, e: Named, some: Callable[[], Any]) -> list:
+        """The relative change."""
+        return [effect.law(e, some())]
