@@ -4,9 +4,10 @@ import importlib
 import importlib.util
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from plants import PLANTS
 from workbench.data import Dataset, check_held_out
@@ -15,6 +16,7 @@ from workbench.files import read_json
 from workbench.intervals.model import SCHEMA as INTERVAL_MODEL
 from workbench.lpv import SCHEMA as MODEL
 from workbench.lpv import load_model
+from workbench.physics.controller import check_controller
 from workbench.physics.extension import load_extension
 from workbench.physics.identified import identified
 from workbench.physics.plant import Plant
@@ -51,6 +53,35 @@ def trusted_plant(base: str, named: str) -> Plant:
     if base not in PLANTS and base != named:
         raise InputError(f"predicts with {base}, which is no machine of the workbench", mend=f"if you trust it, run it on {base}")
     return find_plant(base)
+
+
+@record
+class ChosenController:
+    """A controller as it was asked for, and the files that were read; own: file.py:NAME of the user's own law, else empty."""
+
+    law: Any
+    files: tuple[str, ...]
+    own: str = ""
+
+
+def choose_controller(text: str, plant: str = "") -> ChosenController:
+    """The controller in a file that `design` has written; or one of the user's own, file.py:NAME or package.module:NAME.
+
+    plant: what the user has named as the plant, with which a nonlinear MPC may predict. Raises InputError where the name is
+    none of a controller. Only the command line names a law of the user's own: no file makes this program run code.
+    """
+    if not is_own(text):
+        from controllers.files import load_controller
+
+        return ChosenController(load_controller(text, lambda base: trusted_plant(base, plant)), (text,))
+    found = _named(text, "controller", lambda value: hasattr(value, "actuated") and not isinstance(value, type))
+    check_controller(found, text)
+    return ChosenController(found, _code(text), text)
+
+
+def is_own(text: str) -> bool:
+    """Whether this names an object in Python code, as file.py:NAME or package.module:NAME."""
+    return text.endswith(".py") or (":" in text and not Path(text).exists() and not text.endswith(".json"))
 
 
 def choose_plant(text: str) -> Chosen:
@@ -102,16 +133,23 @@ def _base_plant(text: str) -> Plant:
                 mend="give a state-space model: workbench identify --model lti, ilm or ssm",
             )
         return identified(load_model(text))
+    if ":" not in text and not text.endswith(".py"):
+        return PLANTS[check_known("plant", text, PLANTS)]
+    return _named(text, "plant", lambda value: isinstance(value, Plant))
+
+
+def _named(text: str, kind: str, fits: Callable[[Any], bool]) -> Any:
+    """What file.py:NAME or package.module:NAME names, in code that the user trusts; fits: what else could be meant there."""
     source, colon, attribute = text.rpartition(":")
     if not colon:
-        if text.endswith(".py"):
-            raise InputError(f"which plant in {text!r}?", mend=f"write {text}:NAME")
-        return PLANTS[check_known("plant", text, PLANTS)]
+        raise InputError(f"which {kind} in {text!r}?", mend=f"write {text}:NAME")
     module = _load_file(Path(source)) if source.endswith(".py") else _import(source)
-    plants = [name for name, value in vars(module).items() if isinstance(value, Plant)]
-    if not plants:
-        raise InputError("no plant in this file", file=source, mend="define NAME = Plant(...), see the docs")
-    return getattr(module, check_known("plant", attribute, plants, file=source))
+    known = [name for name, value in vars(module).items() if fits(value)]
+    if kind == "controller" and attribute in vars(module):
+        return getattr(module, attribute)  # what it lacks says more than that it is none
+    if not known:
+        raise InputError(f"no {kind} in this file", file=source, mend=f"define NAME = ..., see docs/add-a-{kind}.md")
+    return getattr(module, check_known(kind, attribute, known, file=source))
 
 
 def _load_file(path: Path):

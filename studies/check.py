@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from controllers.files import controller_content, controller_of, load_controller
+from controllers.files import controller_content, controller_of
 from controllers.pid_design import frequencies, worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import DEFAULT
-from studies.arguments import Chosen, choose_plant, run_folder, trusted_plant
+from studies.arguments import Chosen, choose_controller, choose_plant, run_folder
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -79,7 +79,8 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
         raise InputError("--fitted is for a search on the plant", mend="give --plant as well")
     chosen = choose_plant(options.plant) if options.plant else None
     base = chosen.base if chosen else ""
-    law = load_controller(options.controller, lambda name: trusted_plant(name, base))
+    controller = choose_controller(options.controller, base)
+    law = controller.law
     model = load_model(options.model) if options.model else None
     records = [read(path) for path in options.records]
     folder = run_folder(options.out, "check")
@@ -95,13 +96,13 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
         loop = [Verdict(name, "no model", Status.UNDECIDED, math.nan, "", said) for name in claimed(replace(limits, limits=()))]
         parts.append(("Not checked", Checked(tuple(loop), ())))
     if chosen is not None:
-        parts.append(("On the simulated plant", on_plant(chosen, law, limits, options, folder, progress)))
+        parts.append(("On the simulated plant", on_plant(chosen, law, limits, options, folder, progress, controller.own)))
     verdicts = [v for _, part in parts for v in part.verdicts]
     for verdict in verdicts:
         say(str(verdict))
     status = overall(verdicts)
     say(f"{status.value}: {counted(verdicts)}")
-    files = [options.controller, options.limits, *options.records, *([options.model] if options.model else []), *options.fitted]
+    files = [*controller.files, options.limits, *options.records, *([options.model] if options.model else []), *options.fitted]
     source = provenance(_configuration(options), [*files, *(chosen.files if chosen else ())], options.seed)
     content = {"status": status.value, "verdicts": [v.to_dict() for v in verdicts], "provenance": source}
     for path in (folder / "check.json", options.json):
@@ -182,7 +183,8 @@ def on_model(
     """Stability at nodes of the schedule and, with a rate [1/s], in motion; |S|; disk margin; and limits along the run."""
     model, of = left.model, f"model {left.model.name}"
     if not isinstance(law, ScheduledPID):
-        said = f"{law.name} is computed step by step: no linear law to prove anything of; it is checked on the plant alone"
+        how = "is an equation of its own" if isinstance(law, Controller) else "is computed step by step"
+        said = f"{law.name} {how}: no linear law to prove anything of; it is checked on the plant alone"
         return Checked(tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)), ())
     check_law(model, law)
     run = _prepared(left, law, limits, chosen) if limits.limits and limits.run is not None else None
@@ -540,8 +542,10 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
 # ---- on the simulated plant ---------------------------------------------------------------------------------------------
 
 
-def on_plant(chosen: Chosen, law: Any, limits: LoopLimits, options: Namespace, folder: Path, progress: Say) -> Checked:
-    """For each limit the worst machine within tolerances and fitted intervals."""
+def on_plant(
+    chosen: Chosen, law: Any, limits: LoopLimits, options: Namespace, folder: Path, progress: Say, own: str = ""
+) -> Checked:  # fmt: skip
+    """For each limit the worst machine within tolerances and fitted intervals; own: file.py:NAME of the user's own law."""
     if not limits.limits or limits.run is None:
         said = "no limits of signals are asked: nothing to try on the plant"
         raise InputError(said, file=options.limits, mend="give [run] and [limits.SIGNAL], or leave --plant out")
@@ -552,6 +556,7 @@ def on_plant(chosen: Chosen, law: Any, limits: LoopLimits, options: Namespace, f
     scenario = limits.run.scenario(plant, law)
     compiled = isinstance(law, Controller)
     runs = options.runs or (RUNS if compiled else STEPPED)
+    content = {"own": own} if own else controller_content(law)
     verdicts, worst = [], []
     for number, limit in enumerate(resolved(limits.limits, plant, law), 1):
         name = f"{limit.signal}: {' and '.join(limit.kept)}"
@@ -563,7 +568,7 @@ def on_plant(chosen: Chosen, law: Any, limits: LoopLimits, options: Namespace, f
         if not found.broken:
             verdicts.append(Verdict(name, of, Status.PASSED, -found.excess, unit, said))
             continue
-        path = found.counterexample(chosen.base, controller_content(law)).save(folder / f"counterexample-{number}.json")
+        path = found.counterexample(chosen.base, content).save(folder / f"counterexample-{number}.json")
         again = load_counterexample(path).replay(plant, law)
         status = Status.FAILED if again.same else Status.UNDECIDED
         verdicts.append(Verdict(name, of, status, -found.excess, unit, said, path.name))

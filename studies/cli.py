@@ -13,6 +13,7 @@ from studies import STUDIES
 
 DONE, NEGATIVE, BAD_INPUT, CRASHED, INTERRUPTED = 0, 1, 2, 70, 130
 PLANT_HELP = "machine of the workbench, package.module:NAME, file.py:NAME, model (m.json) or plant file (NAME+extended.json)"
+CONTROLLER_HELP = "controller written by design, or a law of your own: file.py:NAME, package.module:NAME"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -98,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--effect", action="append", default=[], metavar="ID@PLACE:P=V", help="switch missing physics on")
     sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
     sub.add_argument("--start", action="append", default=[], metavar="X=V", help="change a start value")
-    sub.add_argument("--controller", metavar="FILE", help="close the loop with a controller written by design")
+    sub.add_argument("--controller", metavar="FILE", help=f"close the loop with a {CONTROLLER_HELP}")
     sub.add_argument("--setpoint", action="append", default=[], metavar="Y=V,..", help="with --controller: hold these outputs")
     sub.add_argument("--duration", type=_seconds, metavar="S", help="with --setpoint: seconds (default 60)")
     sub.add_argument("--limits", metavar="FILE", help="with --controller: follow the set-points of [run] in a file of limits")
@@ -240,7 +241,7 @@ def parser() -> argparse.ArgumentParser:
         "  workbench check --controller pid.json --limits limits.toml --plant found/extended.json --fitted found/diagnosis.json\n"
         "exit code 1 where anything failed; what failed runs again with workbench simulate --replay FILE",
     )
-    sub.add_argument("--controller", required=True, metavar="FILE", help="controller written by design")
+    sub.add_argument("--controller", required=True, metavar="FILE", help=CONTROLLER_HELP)
     sub.add_argument("--limits", required=True, metavar="FILE", help="what the loop must keep (TOML)")
     sub.add_argument("--model", metavar="MODEL", help="identified model (ssm.json, ..) on which limits are proved or refuted")
     sub.add_argument("--records", nargs="+", action="extend", default=[], metavar="RECORD", help="records that bound its errors")
@@ -266,7 +267,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--parquet", action="store_true", help="write sweep.parquet too (needs pyarrow)")
     sub.add_argument("--resume", action="store_true", help="finish the sweep in --out: rows that it holds are not run again")
     sub.add_argument("--plant", metavar="PLANT", help=f"instead of the file's: {PLANT_HELP}")
-    sub.add_argument("--controller", metavar="FILE", help="instead of the file's: controller written by design")
+    sub.add_argument("--controller", metavar="FILE", help=f"instead of the file's: {CONTROLLER_HELP}")
 
     sub = command(
         "report",

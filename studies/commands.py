@@ -13,7 +13,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from plants import PLANTS
-from studies.arguments import Chosen, check_file, choose_plant, names, parse_effects, parse_numbers, run_folder, trusted_plant
+from studies.arguments import Chosen, check_file, choose_controller, choose_plant, names, parse_effects, parse_numbers, run_folder
 from studies.results import Result, scores_file
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.errors import InputError, check_known
@@ -61,7 +61,6 @@ def _print(text: str, stream: TextIO) -> None:
 
 def simulate(options: Namespace) -> int:
     """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and states/<record>.csv."""
-    from controllers.files import load_controller
     from studies.experiments import EXPERIMENTS, plan
     from workbench.simulate import replay
     from workbench.simulate import simulate as run_plant
@@ -91,7 +90,8 @@ def simulate(options: Namespace) -> int:
         own = EXPERIMENTS.get(machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
         raise InputError("which experiment?", mend=f"give {known}{other}")
-    own_law = load_controller(options.controller, lambda base: trusted_plant(base, found.base)) if options.controller else None
+    controller = choose_controller(options.controller, found.base) if options.controller else None
+    own_law = controller.law if controller else None
     if own_law and options.inputs_from:
         mend = "a replay has no loop to close; --setpoint Y=V,.. runs the loop"
         raise InputError("--controller and --inputs-from exclude each other", mend=mend)
@@ -132,9 +132,10 @@ def simulate(options: Namespace) -> int:
             entry["tracking"] = _loop_scores(own_law, done.experiment)
             entry["at_limit"] = _at_limits(own_law, done.experiment)
             schedule = own_law.schedule
-            if schedule and (beyond := own_law.outside(done.experiment[schedule])) > MUCH:
+            known = schedule and hasattr(own_law, "outside")
+            if known and (beyond := own_law.outside(done.experiment[schedule])) > MUCH:
                 say(f"  {schedule} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
-            if done.memories:
+            if done.memories and hasattr(done.memories[0], "status"):
                 entry["statuses"] = _statuses(done.memories)
         summary.append(entry)
     configuration = {
@@ -143,7 +144,7 @@ def simulate(options: Namespace) -> int:
         "effects_of_plant": plant.effects,
         "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
     }  # fmt: skip
-    read_files = [*options.inputs_from, *found.files, *filter(None, [options.controller, options.limits])]
+    read_files = [*options.inputs_from, *found.files, *(controller.files if controller else ()), *filter(None, [options.limits])]
     result = {"runs": summary, "provenance": provenance(configuration, read_files, options.seed)}
     write_json(folder / "simulate.json", result)
     if options.json:
@@ -192,15 +193,16 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
             record = hold(load_model(found.model), law, setpoint, samples, seed)
             return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
         check_setpoint(law, setpoint)
-        references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=True)}
+        references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=False)}
         scenario = Scenario("setpoint", references, seed, start)
     return run_plant(found.plant, law, scenario, parameters=parameters, effects=effects, bumpless=True)
 
 
 def _at_limits(law: Any, run: Experiment) -> dict[str, float]:
-    """The share of samples at which each command stood at one of its limits."""
+    """The share of samples at which each command stood at one of its limits; of a law that tells none, 0."""
     found = {}
-    for name, low, high in zip(law.actuated, law.low, law.high, strict=True):
+    none = np.full(len(law.actuated), np.inf)
+    for name, low, high in zip(law.actuated, getattr(law, "low", -none), getattr(law, "high", none), strict=True):
         u = run[name]
         found[name] = float(np.mean((u <= low) | (u >= high)))
         limits = f", at a limit for {found[name]:.1%} of the time" if found[name] else ""

@@ -10,7 +10,7 @@ from controllers.files import load_controller
 from controllers.mpc import MPC
 from controllers.receding import Receding
 from controllers.scheduled_pid import ScheduledPID
-from studies.arguments import run_folder, trusted_plant
+from studies.arguments import is_own, run_folder, trusted_plant
 from workbench.errors import InputError, check_known
 from workbench.files import write_json, write_text
 from workbench.provenance import provenance
@@ -26,6 +26,9 @@ def export(options: Namespace, say: Say) -> int:
     for option, forms in OPTIONS:
         if getattr(options, option) and form not in forms:
             raise InputError(f"--{option} with --to {form}", mend=f"leave it out: it is for --to {' and '.join(forms)}")
+    if is_own(options.controller):
+        mend = "C and Structured Text are made of what design wrote; write your own law there by hand, or design a scheduled PID"
+        raise InputError("is code, not numbers that a text could be made of", file=options.controller, mend=mend)
     controller = load_controller(options.controller, lambda base: trusted_plant(base, ""))
     try:
         contents = _contents(controller, form, options, say)

@@ -15,6 +15,7 @@ import numpy as np
 from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel, check_no_feedthrough
+from workbench.physics.controller import stepped
 from workbench.records import field, record
 
 HOLD = (1.0, 4.0)  # s, shortest and longest stay at a set-point
@@ -52,7 +53,8 @@ class Rehearsal:
         for k, r in enumerate(self.references):
             A, B, C, K_k = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, model.C, K))
             y[k] = C @ x + y0[k] + self.e[k]
-            commands[k, at_u], state = law.step(state, r[at_y], y[k, at_y], self.rho[k] if law.schedule else None)
+            rho = self.rho[k] if law.schedule else None
+            commands[k, at_u], state = stepped(law, state, r[at_y][: len(law.references)], y[k, at_y], rho)
             x = A @ x + B @ (commands[k] - u0[k]) + K_k @ self.e[k]
         return commands, y
 
@@ -80,10 +82,11 @@ def _places(law: Any, names: Sequence[str], channels: Sequence[Channel]) -> list
 
 
 def check_setpoint(law: Any, setpoint: Mapping[str, float]) -> None:
-    """Refuse set-points of what the law does not measure, and outputs of it that have none."""
+    """Refuse set-points of what the law does not control, and outputs of it that have none."""
+    controlled = law.measured[: len(law.references)]
     for name in setpoint:
-        check_known("output of the controller", name, law.measured)
-    if missing := [name for name in law.measured if name not in setpoint]:
+        check_known("output of the controller", name, controlled)
+    if missing := [name for name in controlled if name not in setpoint]:
         raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
 
 
@@ -95,7 +98,7 @@ def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int,
     whole = whole if seed is not None else replace(whole, e=np.zeros_like(whole.e))
     u, y = whole.run(law)
     schedule = (replace(model.schedule, role="schedule"),) if model.schedule else ()
-    at = _places(law, law.measured, model.outputs)
+    at = _places(law, law.measured[: len(law.references)], model.outputs)
     units = [model.outputs[i].unit for i in at]
     set_points = [Channel(name, unit, "reference") for name, unit in zip(law.references, units, strict=True)]
     channels = (*model.inputs, *model.outputs, *schedule, *set_points)

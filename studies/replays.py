@@ -3,10 +3,11 @@
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from controllers.files import controller_of
 from plants import PLANTS
-from studies.arguments import Chosen, choose_plant, run_folder, trusted_plant
+from studies.arguments import Chosen, choose_controller, choose_plant, is_own, run_folder, trusted_plant
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.provenance import provenance
@@ -22,6 +23,8 @@ OTHERS = ("experiment", "inputs_from", "seed", "quiet", "effect", "parameter", "
 def run(options: Namespace, say: Say) -> int:
     """Replay, write the record and what was found; 0 where that is what the file says, else 1."""
     for name in OTHERS:
+        if name == "controller" and is_own(options.controller or ""):
+            continue
         if (given := getattr(options, name)) is not None and given is not False and given != []:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{option} goes not with --replay", mend="leave it out: the file holds the whole run")
@@ -29,7 +32,7 @@ def run(options: Namespace, say: Say) -> int:
         return _run_sequence(options, say)
     stored = load_counterexample(options.replay)
     chosen = _plant(options, stored)
-    law = controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base))
+    law = _law(options, stored, chosen)
     try:
         found = stored.replay(chosen.plant, law)
     except InputError as reason:
@@ -48,7 +51,7 @@ def run(options: Namespace, say: Say) -> int:
         "same": found.same, "limit": stored.limit.signal, "bound": stored.bound, "unit": unit, "sample": found.sample,
         "stored": _number(stored.excess), "found": _number(found.excess),
     }  # fmt: skip
-    configuration = {"plant": options.plant or stored.base, "replay": options.replay}
+    configuration = {"plant": options.plant or stored.base, "replay": options.replay, "controller": options.controller}
     source = provenance(configuration, [options.replay, *chosen.files], stored.scenario.seed)
     for target in (folder / "simulate.json", options.json):
         if target:
@@ -65,6 +68,8 @@ def _run_sequence(options: Namespace, say: Say) -> int:
     """Parameters of an identified loop, run again; 0 where they give what the file says, else 1."""
     if options.plant is not None:
         raise InputError("is of an identified model, which it holds", file=options.replay, mend=f"leave {options.plant} out")
+    if options.controller is not None:
+        raise InputError("holds its controller", file=options.replay, mend=f"leave --controller {options.controller} out")
     stored = load_sequence(options.replay)
     found = stored.again(lambda content: controller_of(content, options.replay))
     agrees = same(found, stored.value) and stored.breaks
@@ -86,6 +91,19 @@ def _plant(options: Namespace, stored: Counterexample) -> Chosen:
         mend = f"give {stored.base}" + " or leave it out" * (stored.base in PLANTS)
         raise InputError(f"is of plant {stored.plant!r}, not {chosen.plant.name!r}", file=Path(options.replay), mend=mend)
     return chosen
+
+
+def _law(options: Namespace, stored: Counterexample, chosen: Chosen) -> Any:
+    """The controller that the file holds; a law of the user's own is named again: a file never makes a program run."""
+    own = stored.controller.get("own")
+    if own is None and options.controller:
+        raise InputError("holds its controller", file=options.replay, mend=f"leave --controller {options.controller} out")
+    if own is not None and not options.controller:
+        mend = f"if you trust that law, name it yourself: workbench simulate --replay {options.replay} --controller {own}"
+        raise InputError(f"is of the law {own}, which is code of one's own", file=options.replay, mend=mend)
+    if own is not None:
+        return choose_controller(options.controller, chosen.base).law
+    return controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base))
 
 
 def _number(value: float) -> float | None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from controllers.files import controller_of
-from studies.arguments import choose_plant, find_plant, trusted_plant
+from studies.arguments import choose_controller, choose_plant, find_plant, is_own, trusted_plant
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, sha256
 from workbench.metrics import tracking
@@ -34,8 +34,11 @@ MEASURES = ("RMS", "max", "IAE")
 class ClosedLoop:
     """A plant (as `choose_plant` knows it) under a controller (the text of its file) through a run, with the noise of a seed.
 
+    own: file.py:NAME of a law of the user's own, in place of a text.
+
     For each output with a set-point RMS, max and IAE of its error, for each command its travel: sum of |u(k) - u(k-1)|.
-    sources: SHA-256 of the files that make the plant; where they have changed no run is made. threads: of a compiled law's runs.
+    sources: SHA-256 of the files that make the plant and the user's own law; where they have changed no run is
+    made. threads: of a compiled law's runs.
     """
 
     plant: str
@@ -45,6 +48,7 @@ class ClosedLoop:
     noise: bool = True
     sources: Mapping[str, str] = field(default_factory=dict)
     threads: int = 1
+    own: str = ""
 
     def __post_init__(self):
         for name in self.parameters:
@@ -57,7 +61,7 @@ class ClosedLoop:
 
     @property
     def _law(self) -> Any:
-        return _law(self.controller, self.plant)
+        return _law(self.controller, self.plant, self.own, tuple(self.sources.items()))
 
     @property
     def configuration(self) -> Mapping[str, Any]:
@@ -170,21 +174,29 @@ def _number(name: str, value: float | str) -> float:
 @lru_cache(maxsize=8)
 def _machine(plant: str, sources: tuple[tuple[str, str], ...]) -> Plant:
     """Made once in every process, from the files that the sweep began with."""
+    _check_unchanged(sources)
+    return find_plant(plant)
+
+
+def _check_unchanged(sources: tuple[tuple[str, str], ...]) -> None:
     for path, digest in sources:
         if sha256(path) != digest:
             raise StoppedError(
                 "has changed since the sweep began", file=path, mend="begin the sweep anew in another --out folder"
             )
-    return find_plant(plant)
 
 
-def _sources(plant: str) -> dict[str, str]:
-    """The files of one's own plant: of its module, and those that extend it."""
-    return {str(Path(path).resolve()): sha256(path) for path in choose_plant(plant).files}
+def _sources(plant: str, law: str) -> dict[str, str]:
+    """The files of one's own plant and law: of their modules, and those that extend a plant."""
+    files = (*choose_plant(plant).files, *(choose_controller(law, plant).files if law else ()))
+    return {str(Path(path).resolve()): sha256(path) for path in files}
 
 
 @lru_cache(maxsize=8)
-def _law(text: str, plant: str) -> Any:
+def _law(text: str, plant: str, own: str, sources: tuple[tuple[str, str], ...]) -> Any:
+    if own:
+        _check_unchanged(sources)
+        return choose_controller(own, plant).law
     return controller_of(json.loads(text), "controller", lambda base: trusted_plant(base, plant))
 
 
@@ -194,12 +206,19 @@ def from_file(sweep: Sweep, file: Path, options: Namespace) -> ClosedLoop:
     plant = options.plant or own.text("plant", None)
     if not options.plant and ("/" in plant or ":" in plant or plant.endswith((".json", ".py"))):
         raise own.refused("plant", repr(plant), f"a machine of the workbench; a plant of your own is named with --plant {plant}")
-    law = Path(options.controller) if options.controller else _beside(file, own.text("controller", None))
+    code = options.controller if is_own(options.controller or "") else ""
+    named = options.controller or own.text("controller", None)
+    if not options.controller and is_own(named):
+        raise own.refused(
+            "controller", repr(named), f"a file that design wrote; a law of your own is named with --controller {named}"
+        )
+    law = Path(named) if options.controller else _beside(file, named)
     if "run" not in own.content:
         raise InputError("[fixed.run] is missing", file=file, mend="give its duration and set-points: [fixed.run.setpoints]")
     table = own.table("run", [key for key in RUN if key != "seed"])  # seeds are the sweep's
-    text, names = json.dumps(read_json(law), sort_keys=True), tuple(p.name for p in sweep.factors)
-    return ClosedLoop(plant, text, manoeuvre(table), names, own.flag("noise", True), _sources(plant))
+    text = "" if code else json.dumps(read_json(law), sort_keys=True)
+    names = tuple(p.name for p in sweep.factors)
+    return ClosedLoop(plant, text, manoeuvre(table), names, own.flag("noise", True), _sources(plant, code), own=code)
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -139,3 +139,29 @@ def test_odd_models_are_rehearsed_all_the_same(noisy):
     np.testing.assert_allclose(seen.e[:, 0], seen.e[:, 1], atol=1e-12)
     with pytest.raises(InputError, match="no candidate holds"):
         calmest({"wild": law(1e6)}, [rehearsal(noisy, (10.0, 1.0), SIZE, 2000, 1)])
+
+
+class Bare:
+    """A law that is an equation alone, with a set-point for the first of its outputs."""
+
+    def __init__(self, whole):
+        self.whole, self.references = whole, whole.references[:1]
+
+    def __getattr__(self, name):
+        if name == "step":
+            raise AttributeError(name)
+        return getattr(self.whole, name)
+
+    def law(self, gains, state, r, y, rho):
+        return self.whole.law(gains, state, [r[0], 0.3], y, rho)
+
+
+def test_a_law_without_a_step_and_with_fewer_set_points_than_outputs_runs_on_the_model(noisy):
+    whole = law(u0=np.array([0.5, 0.2]))
+    expected = hold(noisy, whole, {"w3": 10.0, "theta": 0.3}, 80, 1)
+    found = hold(noisy, Bare(whole), {"w3": 10.0}, 80, 1)
+    assert [c.name for c in found.channels if c.role == "reference"] == ["w3_set"]
+    with pytest.raises(InputError, match="unknown output of the controller 'theta'"):
+        hold(noisy, Bare(whole), {"w3": 10.0, "theta": 0.3}, 80, 1)
+    for name in ("V1", "V2", "w3", "theta"):
+        assert np.abs(found[name] - expected[name])[-10:].max() < 0.01 * np.ptp(expected[name])

@@ -4,6 +4,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from workbench.errors import InputError
 from workbench.records import field, record
 
 
@@ -64,6 +65,71 @@ class Stepped(Loop, Protocol):
     def step(self, state: Any, r: np.ndarray, y: np.ndarray, rho: float | None) -> tuple[np.ndarray, Any]:
         """One sample: commands (nu,), never NaN, and the next memory."""
         ...
+
+
+def stepped(controller: Any, state: Any, r: np.ndarray, y: np.ndarray, rho: float | None) -> tuple[np.ndarray, Any]:
+    """One sample of a law of either kind: commands (nu,) and the next memory."""
+    if hasattr(controller, "step"):
+        return controller.step(state, r, y, rho)
+    u, after = controller.law(controller.gains, state, r, y, rho)
+    return np.array(u, dtype=float), np.array(after, dtype=float)
+
+
+LOOP = ("name", "dt", "references", "measured", "schedule", "actuated", "init")
+EQUATION = "law(gains, state, r, y, rho) -> (list of commands, list of the next memory)"
+
+
+def check_controller(controller: Any, file: object) -> None:
+    """Refuse what is neither a Controller nor a Stepped: which member is missing or makes no sense, and the mend (InputError)."""
+    if isinstance(controller, type):
+        raise InputError("is a class, not a controller", file=file, mend=f"make one: NAME = {controller.__name__}(...)")
+    missing = [name for name in LOOP if not hasattr(controller, name)]
+    if not hasattr(controller, "law") and not hasattr(controller, "step"):
+        missing.append("law and gains (an equation), or step (asked sample by sample)")
+    elif not hasattr(controller, "step") and not hasattr(controller, "gains"):
+        missing.append("gains")
+    if missing:
+        raise InputError(f"no controller: it has no {', no '.join(missing)}", file=file, mend="see docs/add-a-controller.md")
+    if not (isinstance(controller.dt, int | float) and 0.0 < controller.dt < np.inf):
+        raise InputError(f"dt = {controller.dt!r}", file=file, mend="expected seconds from one command to the next")
+    for name in ("references", "measured", "actuated"):
+        value = getattr(controller, name)
+        if not isinstance(value, tuple | list) or not all(isinstance(own, str) for own in value):
+            raise InputError(f"{name} = {value!r}", file=file, mend=f"expected a tuple of names: {name} = ('v',)")
+    if not controller.actuated or len(controller.references) > len(controller.measured):
+        said = (
+            f"{len(controller.references)} set-points, {len(controller.measured)} measured, {len(controller.actuated)} actuated"
+        )
+        raise InputError(said, file=file, mend="name an input at least; set-points belong to the first of measured, one by one")
+    if isinstance(controller, Controller):
+        _check_law(controller, file)
+
+
+def _check_law(controller: Controller, file: object) -> None:
+    """Call the law with three values of everything but the gains: it also fails where it has an `if` or calls math."""
+    try:
+        hash(controller)
+    except TypeError:
+        raise InputError("cannot be hashed", file=file, mend="write @dataclass(frozen=True, eq=False), or a class") from None
+    nu, some = len(controller.actuated), np.array([-1.0, 0.25, 3.0])
+    asked = f"expected {EQUATION}, each single values, in arithmetic and numpy functions without an `if`"
+    try:
+        cold, taken = np.asarray(controller.init(), dtype=float), np.asarray(controller.init(np.zeros(nu)), dtype=float)
+        gains = np.asarray(controller.gains, dtype=float)
+        state = [np.full(3, value) for value in cold.ravel()]
+        r, y = ([some * (1.0 + 0.1 * i) for i in range(len(names))] for names in (controller.references, controller.measured))
+        with np.errstate(all="ignore"):
+            u, after = controller.law(gains, state, r, y, some if controller.schedule else None)
+        for value in (*u, *after):
+            np.broadcast_to(np.asarray(value, dtype=float), 3)
+    except Exception as reason:
+        raise InputError(f"its law: {type(reason).__name__}: {reason}", file=file, mend=asked) from reason
+    if gains.ndim != 1 or cold.ndim != 1 or cold.shape != taken.shape:
+        said = f"gains {gains.shape}, init() {cold.shape}, init(u) {taken.shape}"
+        raise InputError(said, file=file, mend="expected vectors of numbers, and a memory of one length")
+    if len(u) != nu or len(after) != len(cold):
+        said = f"its law gives {len(u)} commands and a memory of {len(after)}"
+        raise InputError(said, file=file, mend=f"expected {nu} for actuated and {len(cold)} as in init()")
 
 
 @record

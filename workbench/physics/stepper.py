@@ -321,6 +321,9 @@ def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int,
         if k % every == 0:
             y = np.array(read(block.memory, block.noise[k], block.eta)).ravel()
             u, memory = controller.step(memory, lanes.reference[0, k], y[at], None if rho is None else y[rho])
+            if np.shape(u) != (len(controller.actuated),) or not np.isfinite(u).all():
+                said = f"controller {controller.name!r} commands {u!r} at {k * plant.dt:g} s"
+                raise InputError(said, mend=f"expected {len(controller.actuated)} finite numbers, in an array")
             memories.append(memory)
         block.reference[k, :, 0] = u
         block.advance(k, k + 1)
