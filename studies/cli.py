@@ -258,7 +258,7 @@ def parser() -> argparse.ArgumentParser:
 
     sub = command(
         "sweep",
-        "run a loop, a design, an identification or a diagnosis for many sets of values; every row is kept as soon as it is there",
+        "run a loop, a design, an identification or a diagnosis for many sets of values; rows are kept as they come",
         "examples:\n  workbench sweep sweep.toml --jobs 2\n  workbench sweep sweep.toml --out runs/mine --resume",
     )
     sub.add_argument("sweep", metavar="FILE", help="what varies, and what is run (TOML)")
@@ -294,7 +294,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="M",
         help="hidden-effects: cases (default 600); controller-comparison: seeds (20)",
     )
-    sub.add_argument("--jobs", type=_positive, metavar="N", help="processes side by side (default 2; 1 of those that --cases is for)")
+    sub.add_argument(
+        "--jobs", type=_positive, metavar="N", help="processes side by side (default 2; 1 of those that --cases is for)"
+    )
     sub.add_argument("--fresh", action="store_true", default=None, help="web-winding: compute every stage anew")
     return top
 

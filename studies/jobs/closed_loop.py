@@ -34,11 +34,9 @@ MEASURES = ("RMS", "max", "IAE")
 class ClosedLoop:
     """A plant (as `choose_plant` knows it) under a controller (the text of its file) through a run, with the noise of a seed.
 
-    own: file.py:NAME of a law of the user's own, in place of a text.
-
     For each output with a set-point RMS, max and IAE of its error, for each command its travel: sum of |u(k) - u(k-1)|.
-    sources: SHA-256 of the files that make the plant and the user's own law; where they have changed no run is
-    made. threads: of a compiled law's runs.
+    own: file.py:NAME of a law of the user's own, in place of a text. sources: SHA-256 of the files that make the plant and that
+    law; where they have changed no run is made. threads: of a compiled law's runs.
     """
 
     plant: str
