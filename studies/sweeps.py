@@ -35,6 +35,8 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     export_csv(folder / "sweep.sqlite", folder / "sweep.csv")
     found = read_rows(folder / "sweep.sqlite")
     say(f"{done.runs} runs, {done.failed} failed; {done.made} of them now, in {done.seconds:.1f} s")
+    if done.failed:
+        say(f"  the first: {next(row[-1] for row in found.rows if row[-1])}")
     for text in _extremes(found, sweep.factors):
         say(text)
     try:

@@ -30,6 +30,7 @@ TIME_NAMES = ("t", "time", "Time", "Zeit")
 MAT_READER = Path(__file__).with_name("loadmat.py")
 
 #: Fewer samples than this are no record.
+MANY_GAPS = 10  # above which a record is not cut at each of them
 SHORTEST = 3
 
 #: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
@@ -457,18 +458,22 @@ def _sample_time(path: Path, name: str, t: np.ndarray, line_of: Callable[[int], 
     if typical <= 0:  # most steps are faulty: judge them by the ones that are not
         forward = np.diff(t)[np.diff(t) > 0]
         typical = float(np.median(forward)) if len(forward) else 1.0
-    for bad in bad_stamps(t, typical):
-        raise _stamp_error(path, name, bad, typical, line_of(bad.index) if line_of else None)
+    if faults := list(bad_stamps(t, typical)):
+        line = line_of(faults[0].index) if line_of else None
+        raise _stamp_error(path, name, faults[0], typical, line, sum(bad.fault == "gap" for bad in faults))
     return float(f"{(t[-1] - t[0]) / (len(t) - 1):.12g}")
 
 
-def _stamp_error(path: Path, name: str, bad: BadStamp, dt: float, line: int | None) -> InputError:
+def _stamp_error(path: Path, name: str, bad: BadStamp, dt: float, line: int | None, gaps: int) -> InputError:
     row = f"line {line}" if line is not None else f"sample {bad.index + 1}"
     header = ", the header on top of both" if line is not None else ""
     cut = f"cut it there into two files: what comes before {row}, and {row} and what follows{header}"
     if bad.fault == "gap":
         problem = f"gap of {bad.after - bad.before:.6g} s before t = {bad.after:.10g} s, expected steps of {dt:.6g} s"
         mend = cut
+        if gaps > MANY_GAPS:
+            problem += f", and {gaps - 1} more such gaps"
+            mend = f"sampled at uneven steps? Write it anew every {dt:.6g} s, interpolated between the samples"
     elif bad.fault == "repeated":
         problem = f"time stamp {bad.after:.10g} s is repeated, expected steps of {dt:.6g} s"
         mend = "delete the row that was logged twice, or log the time with more digits"

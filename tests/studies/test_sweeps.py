@@ -190,7 +190,9 @@ def test_a_run_that_leaves_the_range_is_a_row_with_its_error(asked, capsys):
     assert main(["sweep", "sweep.toml", "--out", "o"]) == 0
     rows = read_rows("o/sweep.sqlite").rows
     lost = [row for row in rows if row[-1]]
-    assert f"24 runs, {len(lost)} failed" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"24 runs, {len(lost)} failed" in said
+    assert f"  the first: {lost[0][-1]}" in said
     assert lost
     assert all(row[-1].startswith("left the range of web-winding after") and set(row[4:-1]) == {None} for row in lost)
     assert all(None not in row for row in rows if not row[-1])

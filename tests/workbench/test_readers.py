@@ -162,6 +162,14 @@ def test_blank_lines_do_not_shift_the_line_that_is_named(tmp_path):
     assert refusal(put(tmp_path, "\n".join(lines))).line == 9
 
 
+def test_a_record_of_uneven_steps_is_not_to_be_cut_at_each_of_them(tmp_path):
+    """The logger had no clock of its own: every third sample comes late."""
+    t = np.cumsum(np.where(np.arange(60) % 3 == 0, 0.02, 0.01))
+    error = refusal(put(tmp_path, "\n".join(["t,y", *(f"{at:.3f},{k}" for k, at in enumerate(t))])))
+    assert "gap of 0.02 s before t = 0.06 s, expected steps of 0.01 s, and 18 more such gaps" in error.problem
+    assert "uneven steps? Write it anew every 0.01 s, interpolated" in error.mend
+
+
 def test_a_truncated_last_line_is_named(tmp_path):
     text = "\n".join([HEADER, *rows(12)])
     error = refusal(put(tmp_path, text[:-8]))
