@@ -254,6 +254,7 @@ def _step(
     Where none holds, the one that would but for the records that are left out.
     """
     short = _with_late(model, shortlist([s for s in found if s.p_family < ALPHA]), found)
+    short = _with_special_cases(model.predictor.plant, short, found)
     progress(f"refitting {', '.join(s.key for s in short)}")
     trials = refits(model, short, sizes)
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
@@ -349,6 +350,19 @@ def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list
     if not late & keys or any(is_late(model.predictor, key) for key in keys):
         return short
     return short + [s for s in found if is_late(model.predictor, s.key)]
+
+
+def _with_special_cases(plant: Plant, short: list[Score], found: Sequence[Score]) -> list[Score]:
+    """The shortlist with the special cases of its effects: what a law with more numbers explains, they may explain with fewer.
+
+    Their significance is that of the law that brings them in.
+    """
+    keys, whole = {s.key for s in short}, list(short)
+    for s in found:
+        by = [general.p_family for general in short if _included(plant, s.key, general.key)]
+        if s.key not in keys and by:
+            whole.append(replace(s, p_family=min(by)))
+    return whole
 
 
 def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:

@@ -7,11 +7,13 @@ import pytest
 
 from plants import WEB_WINDING
 from studies.experiments import EXPERIMENTS
+from studies.jobs.recorded import Recorded
 from tests.workbench.diagnose.cases import AXIS, ROBOT, axis_records, robot_records
 from workbench.data import Dataset
 from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnose.screen import Score
 from workbench.physics.controller import Playback
 from workbench.simulate import Scenario, simulate
 
@@ -51,6 +53,31 @@ def check(found, key: str, name: str, size: float):
 def test_what_the_axis_lacks_is_named_with_its_size_and_its_gain_on_other_records(key, name, size):
     made = [axis_records(seed, {key: {name: size}}, parameters={"M": 100.0, "Fv": 180.0}) for seed in (3, 4)]
     check(diagnose(AXIS, *made), key, name, size)
+
+
+def test_a_small_dry_friction_is_not_taken_for_a_law_that_includes_it():
+    """The screen lets in the friction that differs by direction, and not quite the plain one; a fit tries both."""
+    records = Recorded("welding-robot", ("prbs", "rbs")).records(
+        2330041505, {"dt": 0.0, "noise": 1.0, "records": 0.0}, effects={"coulomb@rail": {"level": 0.0022}}
+    )
+    (cause,) = diagnose(ROBOT, records).causes
+    assert cause.key == "coulomb@rail"
+    assert cause.parameters["level"].low < 0.0022 < cause.parameters["level"].high
+    assert cause.evidence.p_value < diagnosis.ALPHA
+
+
+def test_special_cases_of_a_shortlist_join_it_with_the_significance_that_brings_them_in():
+    def score(key, p):
+        return Score(key, None, (), 10.0, p, p)
+
+    found = [score("asymmetric-friction@rail", 0.002), score("stribeck@rail", 0.004), score("coulomb@rail", 0.02)]
+    found += [score("offset@u", 0.03), score("friction-jump@rail", 0.5)]
+    short = diagnosis._with_special_cases(ROBOT, found[:2], found)
+    assert [(s.key, s.p_family) for s in short[2:]] == [("coulomb@rail", 0.002)]
+    assert diagnosis._with_special_cases(ROBOT, found[:3], found) == found[:3]
+    assert diagnosis._with_special_cases(ROBOT, found[3:4], found) == found[3:4]
+    here, there = [score("asymmetric-friction@unwind", 0.001)], [score("coulomb@rewind", 0.02)]
+    assert diagnosis._with_special_cases(WEB_WINDING, here, there) == here
 
 
 @pytest.mark.parametrize(("backward", "named"), [(30.0, "coulomb"), (34.0, "asymmetric-friction")])
