@@ -15,7 +15,7 @@ from workbench.report import figures
 from workbench.robustness.limits import Manoeuvre
 from workbench.sweep import Factor, Sweep
 
-PEAKS, QUICK = (1.15, 1.2, 1.3, 1.45, 1.6, 1.8, 2.1, 2.5), (1.2, 1.6, 2.1)
+PEAKS, QUICK = (1.06, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.1, 2.5), (1.1, 1.4, 2.0)
 SEEDS, QUICK_SEEDS = 4, 1
 QUALITY, OTHER = "theta RMS", "w3 RMS"
 MARGIN = "delay margin"
@@ -69,7 +69,7 @@ def _verdict(runs: Runs) -> str:
     elif best == len(peaks) - 1:
         said += ", the briskest law of all: beyond it was not looked."
     else:
-        said += f": more bandwidth makes the {name} worse."
+        said += ": more bandwidth makes it worse" + ", and less was not tried." * (best == 0) + "." * (best > 0)
     return said
 
 

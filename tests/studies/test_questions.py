@@ -56,7 +56,8 @@ def test_the_calmest_law_that_costs_little_is_the_one_to_take():
     assert "least, 1, at 6.67 rad/s (|S| and |T| at most 1.6)" in said
     assert "with 4.33 rad/s (at most 1.4) it is no more than 5 % larger" in said
     assert "86.7 ms of delay are left instead of 53.3 ms" in said
-    assert "more bandwidth makes the theta worse" in pid_bandwidth.read(loops("peak", [1.2, 1.4, 1.6], [3.0, 1.0, 1.5])).verdict
+    assert "more bandwidth makes it worse." in pid_bandwidth.read(loops("peak", [1.2, 1.4, 1.6], [3.0, 1.0, 1.5])).verdict
+    assert "worse, and less was not tried." in pid_bandwidth.read(loops("peak", [1.2, 1.4, 1.6], [0.9, 1.0, 1.5])).verdict
     assert "beyond it was not looked" in pid_bandwidth.read(loops("peak", [1.2, 1.4, 1.6], [3.0, 2.0, 1.0])).verdict
 
 
