@@ -148,7 +148,7 @@ def courses(
     log: x is drawn logarithmically.
     """
     names = list(dict.fromkeys(name for own in panels.values() for name in own))
-    columns: list[Column] = []
+    parts: list[tuple[str, str, np.ndarray, np.ndarray]] = []
     with canvas.style():
         figure, every = canvas.panels(len(panels), canvas.label(over), sharey=False)
         handles: dict[str, object] = {}
@@ -163,7 +163,7 @@ def courses(
                 handles[name] = canvas.line(
                     axes, middle[:, 0], middle[:, 1], canvas.colour(j), f"medians-{i}-{j}", dash=canvas.dash(j), width=1.3
                 )
-                columns += [Column(f"{panel}, {name}: x", x), Column(f"{panel}, {name}", y)]
+                parts.append((panel, name, x, y))
             axes.set_title(canvas.short(panel))
             axes.yaxis.set_major_locator(MaxNLocator(4))
             if log:
@@ -178,4 +178,10 @@ def courses(
             canvas.legend(figure, list(handles.values()), list(handles))
         svg = canvas.render(figure)
     said = f"Medians and runs over {over.name}: {', '.join(panels)}" + f"; {', '.join(names)}" * (len(names) > 1)
-    return Picture(title, svg, f"{caption} Dots: runs; lines: medians.", Data(title, tuple(columns)), said)
+    columns = (
+        Column("panel", [panel for panel, _, x, _ in parts for _ in x]),
+        Column("curve", [name for _, name, x, _ in parts for _ in x]),
+        Column(over.name, np.concatenate([x for _, _, x, _ in parts]), over.unit),
+        Column("value", np.concatenate([y for *_, y in parts])),
+    )
+    return Picture(title, svg, f"{caption} Dots: runs; lines: medians.", Data(title, columns), said)
