@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable
 from datetime import datetime
@@ -108,11 +109,13 @@ def choose_plant(text: str) -> Chosen:
 
 
 def _code(text: str) -> tuple[str, ...]:
-    """The Python file of module:NAME or file.py:NAME, which has been loaded."""
+    """The Python files of module:NAME or file.py:NAME, which has been loaded: its own, and those beside it that it imports."""
     source, colon, _ = text.rpartition(":")
     if not colon:
         return ()
-    found = source if source.endswith(".py") else getattr(sys.modules[source], "__file__", None)
+    if source.endswith(".py"):
+        return (source, *_BESIDE.get(str(Path(source).resolve()), ()))
+    found = getattr(sys.modules[source], "__file__", None)
     return (found,) if found else ()
 
 
@@ -159,6 +162,7 @@ def _load_file(path: Path):
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     beside = str(path.resolve().parent)  # as for `python file.py`, but after all that is installed
+    before = set(sys.modules)
     try:
         sys.path.append(beside)
         spec.loader.exec_module(module)
@@ -170,7 +174,20 @@ def _load_file(path: Path):
         raise InputError(f"{type(reason).__name__}: {reason}", file=path, mend="run the file with python first") from reason
     finally:
         sys.path.remove(beside)
+        helpers = {name: _file_of(sys.modules[name]) for name in sys.modules.keys() - before}
+        helpers = {name: file for name, file in helpers.items() if file.startswith(beside + os.sep)}
+        for name in helpers:
+            del sys.modules[name]  # another file may have another one of this name beside it
+    _BESIDE[str(path.resolve())] = tuple(sorted(helpers.values()))
     return module
+
+
+def _file_of(module: Any) -> str:
+    return str(Path(found).resolve()) if (found := getattr(module, "__file__", None)) else ""
+
+
+#: By Python file of the user, the files beside it that it has imported.
+_BESIDE: dict[str, tuple[str, ...]] = {}
 
 
 def _import(name: str):

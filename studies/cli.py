@@ -356,9 +356,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-if __name__ == "__main__":
+def console() -> int:
+    """What the shell runs: a crash is no answer."""
     try:
-        raise SystemExit(main())
+        return main()
     except Exception:  # an uncaught one would end with 1, which is the answer no
         traceback.print_exc()
-        raise SystemExit(CRASHED) from None
+        return CRASHED
+
+
+if __name__ == "__main__":
+    raise SystemExit(console())

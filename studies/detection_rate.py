@@ -32,7 +32,8 @@ def read(runs: Runs) -> Answer:
     """From which size on it is found."""
     size = runs["size"]
     sizes = [level for level in runs.levels("size") if level > 0.0]
-    shares = {name: [_share(runs[name][size == level]) for level in sizes] for name in ("found", "named")}
+    # a case that could not be diagnosed is a miss
+    shares = {name: [_share(np.nan_to_num(runs[name][size == level])) for level in sizes] for name in ("found", "named")}
     unit = runs.channel("size").unit
     picture = figures.rates(
         f"{EFFECT} found", f"size [{unit}]", {name: _rates(sizes, own) for name, own in shares.items()},
@@ -54,12 +55,14 @@ def _verdict(runs: Runs, sizes: list[float], shares: dict[str, list[Share]]) -> 
     quiet, hidden = size == 0.0, size > 0.0
     limit = float(np.nanmedian(runs["limit"][quiet])) if np.isfinite(runs["limit"][quiet]).any() else float("nan")
     sure = [x for i, x in enumerate(sizes) if all(s.rate >= SURE for s in shares["found"][i:])]
-    said = f"Where nothing is hidden, the diagnosis says that it sees dry friction from {told(limit, unit)} on. "
+    seen = np.isfinite(limit)
+    said = f"Where nothing is hidden, the diagnosis says that it sees dry friction from {told(limit, unit)} on. " if seen else ""
     if sure:
-        said += f"It finds {100 * SURE:.0f} % or more from {told(sure[0], unit)} on, {sure[0] / limit:.2g} times that. "
+        times = f", {sure[0] / limit:.2g} times that" if seen else ""
+        said += f"It finds {100 * SURE:.0f} % or more from {told(sure[0], unit)} on{times}. "
     else:
         said += f"None of these sizes is found in {100 * SURE:.0f} % of the cases or more. "
-    inside = runs["inside"][np.isfinite(runs["inside"])]
+    inside = runs["inside"][hidden]
     return said + (
         f"A cause that is not there is named in {_share(runs['wrong'][quiet])} of the records without any effect, and in "
         f"{_share(runs['wrong'][hidden])} of those with one. The true size is inside its 95 % interval in {_share(inside)}."

@@ -62,7 +62,7 @@ def _short(curves: dict[str, Groups]) -> dict[str, Groups]:
 def _verdict(levels: np.ndarray, fits: dict[str, np.ndarray], machine: np.ndarray) -> str:
     said = []
     for i in sorted({0, int(np.abs(np.log(levels)).argmin()), len(levels) - 1}):
-        each = ", ".join(f"{name.upper()} {own[i]:.1f} %" for name, own in fits.items())
+        each = ", ".join(f"{name.upper()} {f'{own[i]:.1f} %' if np.isfinite(own[i]) else 'failed'}" for name, own in fits.items())
         said.append(f"At {levels[i]:g} times the noise of the sensors: {each} (the true machine {machine[i]:.1f} %).")
     table = np.array([fits[name] for name in MODELS])
     best = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from studies.jobs.pid_design import DesignedLoop
 from studies.jobs.recorded import Recorded
-from studies.question import Answer, Question, Runs, drawn, study, told
+from studies.question import NOWHERE, Answer, Question, Runs, drawn, study, told, whole
 from workbench.data import Channel
 from workbench.report import figures
 from workbench.robustness.limits import Manoeuvre
@@ -48,9 +48,11 @@ def read(runs: Runs) -> Answer:
 
 
 def _verdict(runs: Runs) -> str:
-    peaks, band = runs.levels("peak"), runs.medians("peak", "bandwidth")
-    error, delay = runs.medians("peak", QUALITY), runs.medians("peak", MARGIN)
-    best = int(np.nanargmin(error))
+    names = ("bandwidth", QUALITY, MARGIN)
+    peaks, band, error, delay = whole(runs.levels("peak"), *(runs.medians("peak", name) for name in names))
+    if not len(peaks):
+        return NOWHERE
+    best = int(np.argmin(error))
     enough = int(np.flatnonzero(error <= FREE * error[best])[0])
     unit = runs.channel(QUALITY).unit
     name = QUALITY.split()[0]

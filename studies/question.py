@@ -25,6 +25,7 @@ from workbench.sweep import Job, Rows, Sweep, export_csv, read_rows, run_sweep
 
 Say = Callable[[str], None]
 ERRORS = 10  # of failed runs on a page
+NOWHERE = "Nowhere did every run come to an end: no answer."
 
 
 @record
@@ -51,7 +52,7 @@ class Runs:
 
     def __init__(self, found: Rows):
         self.found = found
-        self.names = [n for n in found.names if n in found.units]
+        self.failed = np.array([bool(row[-1]) for row in found.rows])
 
     def __getitem__(self, name: str) -> np.ndarray:
         i = self.found.names.index(name)
@@ -70,10 +71,14 @@ class Runs:
         return np.unique(self[name])
 
     def medians(self, over: str, name: str, where: np.ndarray | None = None) -> np.ndarray:
-        """The median of `name` at every level of `over`, of the rows `where`; NaN where no run has a number."""
+        """The median of `name` at every level of `over`, of the rows `where`; NaN where no run has a number, or any has failed.
+
+        Runs that came to an end where others failed are no picture of that level.
+        """
         keep = np.ones(len(self.found.rows), bool) if where is None else where
         x, y = self[over], self[name]
-        own = [y[keep & (x == level) & np.isfinite(y)] for level in self.levels(over)]
+        levels = [keep & (x == level) for level in self.levels(over)]
+        own = [y[at & np.isfinite(y)] if not self.failed[at].any() else [] for at in levels]
         return np.array([np.median(values) if len(values) else np.nan for values in own])
 
     def groups(self, by: str, x: str, y: str, where: np.ndarray | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -107,13 +112,19 @@ def study(asked: Callable[[bool, int], Question]) -> Callable[..., Path]:
             raise InputError("this study makes its own records", mend="leave --data out")
         question, database = asked(quick, seed), folder / "sweep.sqlite"
         jobs = jobs or min(2, os.cpu_count() or 1)
-        done = run_sweep(question.sweep, question.job, database, resume=database.exists(), jobs=jobs, progress=progress)
+        try:
+            done = run_sweep(question.sweep, question.job, database, resume=database.exists(), jobs=jobs, progress=progress)
+        except InputError as reason:
+            if "another sweep" not in reason.problem:
+                raise
+            mend = "the --seed, --quick and program that began it, or another --out folder"
+            raise InputError(reason.problem, file=database, mend=mend) from None
         export_csv(database, folder / "sweep.csv")
         found = read_rows(database)
         if done.failed == done.runs:
             raise InputError(f"every run failed, the first with: {found.rows[0][-1]}", file=database)
         answer = question.read(Runs(found))
-        verdict = answer.verdict + " This was a quick look with few runs." * quick
+        verdict = " ".join([answer.verdict, *_lost(found), *["This was a quick look with few runs."] * quick])
         source = provenance({"study": question.name, "quick": quick} | dict(question.job.configuration), [], seed)
         content = {"verdict": verdict, "names": found.names, "units": dict(found.units), "rows": nullable(found.rows)}
         for path in (folder / f"{question.name}.json", json):
@@ -127,6 +138,17 @@ def study(asked: Callable[[bool, int], Question]) -> Callable[..., Path]:
     return main
 
 
+def _lost(found: Rows) -> Iterable[str]:
+    """A sentence for every set of values at which runs failed."""
+    at = [found.names.index(name) for name in found.parameters]
+    for values in dict.fromkeys(tuple(row[i] for i in at) for row in found.rows if row[-1]):
+        own = [row for row in found.rows if tuple(row[i] for i in at) == values]
+        named = ", ".join(
+            f"{name} {v if isinstance(v, str) else f'{v:g}'}" for name, v in zip(found.parameters, values, strict=True)
+        )
+        yield f"At {named} {sum(bool(row[-1]) for row in own)} of {len(own)} runs failed."
+
+
 def _failed(found: Rows) -> Iterable[Section]:
     rows = tuple((row[0], row[1], row[-1]) for row in found.rows if row[-1])
     if rows:
@@ -137,6 +159,12 @@ def _failed(found: Rows) -> Iterable[Section]:
 def drawn(sweep: Sweep, seed: int, count: int) -> Sweep:
     """The sweep, each set of values `count` times, with seeds of this one."""
     return replace(sweep, seeds=tuple(int(s) for s in np.random.SeedSequence(seed).generate_state(count)))
+
+
+def whole(*columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The columns (n,) without the places at which one of them has no number."""
+    keep = np.all(np.isfinite(columns), axis=0)
+    return tuple(column[keep] for column in columns)
 
 
 def told(value: float, unit: Any = "") -> str:

@@ -5,11 +5,9 @@ records that it was not made from: one-step envelopes of the web winding machine
 radius.
 """
 
-import numpy as np
-
 from studies.jobs.identification import Identification
 from studies.jobs.recorded import Recorded
-from studies.question import Answer, Question, Runs, drawn, study
+from studies.question import NOWHERE, Answer, Question, Runs, drawn, study, whole
 from workbench.report import figures
 from workbench.sweep import Factor, Sweep
 
@@ -42,18 +40,22 @@ def read(runs: Runs) -> Answer:
         f"One step ahead, {OUTPUT}, {' and '.join(HELD_OUT)} drawn anew as held-out records.",
     )  # fmt: skip
     table = runs.table("By number of records", "records", (width, inside), "Medians over the draws of the records.")
-    counts, wide, held = runs.levels("records"), runs.medians("records", width), runs.medians("records", inside)
+    return Answer(_verdict(runs, width, inside, unit), (picture, table))
+
+
+def _verdict(runs: Runs, width: str, inside: str, unit: str) -> str:
+    counts, wide, held = whole(runs.levels("records"), runs.medians("records", width), runs.medians("records", inside))
+    if not len(counts):
+        return NOWHERE
     first = f"{counts[0]:g} record" + ("s" if counts[0] > 1 else "")
     said = (
         f"From {first} the envelope of {OUTPUT} holds {held[0]:.2f} % of values that it was not made from, at a mean half-width "
         f"of {wide[0]:.3g} {unit}; from {counts[-1]:g} records {held[-1]:.2f} % at {wide[-1]:.3g} {unit}."
     )
-    enough = np.flatnonzero(held >= ENOUGH)
-    if len(enough):
-        said += f" {counts[enough[0]]:g} records are the first with {ENOUGH:g} % or more inside."
-    else:
-        said += f" None of these reaches {ENOUGH:g} %: what an envelope promises, it promises of its own records."
-    return Answer(said, (picture, table))
+    enough = [count for i, count in enumerate(counts) if (held[i:] >= ENOUGH).all()]
+    if enough:
+        return f"{said} From {enough[0]:g} records on {ENOUGH:g} % or more are inside."
+    return f"{said} None of these reaches {ENOUGH:g} %: what an envelope promises, it promises of its own records."
 
 
 main = study(asked)

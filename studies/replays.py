@@ -3,11 +3,10 @@
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from controllers.files import controller_of
 from plants import PLANTS
-from studies.arguments import Chosen, choose_controller, choose_plant, is_own, run_folder, trusted_plant
+from studies.arguments import Chosen, ChosenController, choose_controller, choose_plant, is_own, run_folder, trusted_plant
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.provenance import provenance
@@ -34,7 +33,7 @@ def run(options: Namespace, say: Say) -> int:
     chosen = _plant(options, stored)
     law = _law(options, stored, chosen)
     try:
-        found = stored.replay(chosen.plant, law)
+        found = stored.replay(chosen.plant, law.law)
     except InputError as reason:
         raise InputError(reason.problem, file=options.replay, channel=reason.channel, mend=reason.mend) from None
     folder = run_folder(options.out, "simulate")
@@ -52,7 +51,7 @@ def run(options: Namespace, say: Say) -> int:
         "stored": _number(stored.excess), "found": _number(found.excess),
     }  # fmt: skip
     configuration = {"plant": options.plant or stored.base, "replay": options.replay, "controller": options.controller}
-    source = provenance(configuration, [options.replay, *chosen.files], stored.scenario.seed)
+    source = provenance(configuration, [options.replay, *chosen.files, *law.files], stored.scenario.seed)
     for target in (folder / "simulate.json", options.json):
         if target:
             write_json(target, {"runs": [content], "provenance": source})
@@ -93,7 +92,7 @@ def _plant(options: Namespace, stored: Counterexample) -> Chosen:
     return chosen
 
 
-def _law(options: Namespace, stored: Counterexample, chosen: Chosen) -> Any:
+def _law(options: Namespace, stored: Counterexample, chosen: Chosen) -> ChosenController:
     """The controller that the file holds; a law of the user's own is named again: a file never makes a program run."""
     own = stored.controller.get("own")
     if own is None and options.controller:
@@ -102,8 +101,8 @@ def _law(options: Namespace, stored: Counterexample, chosen: Chosen) -> Any:
         mend = f"if you trust that law, name it yourself: workbench simulate --replay {options.replay} --controller {own}"
         raise InputError(f"is of the law {own}, which is code of one's own", file=options.replay, mend=mend)
     if own is not None:
-        return choose_controller(options.controller, chosen.base).law
-    return controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base))
+        return choose_controller(options.controller, chosen.base)
+    return ChosenController(controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base)), ())
 
 
 def _number(value: float) -> float | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from studies.jobs.pid_design import DesignedLoop
 from studies.pid_bandwidth import LIMITS, MARGIN, OTHER, QUALITY, RECORDED, RUN
-from studies.question import Answer, Question, Runs, drawn, study, told
+from studies.question import NOWHERE, Answer, Question, Runs, drawn, study, told, whole
 from workbench.report import figures
 from workbench.sweep import Factor, Sweep
 
@@ -37,9 +37,12 @@ def read(runs: Runs) -> Answer:
 
 
 def _verdict(runs: Runs) -> str:
-    times, error, band = runs.levels("dt"), runs.medians("dt", QUALITY), runs.medians("dt", "bandwidth")
-    best = int(np.nanargmin(error))
-    slowest = int(np.flatnonzero(error <= FREE * error[best])[-1])
+    times, error, band = whole(runs.levels("dt"), runs.medians("dt", QUALITY), runs.medians("dt", "bandwidth"))
+    if not len(times):
+        return NOWHERE
+    best = int(np.argmin(error))
+    worse = np.flatnonzero(error[best:] > FREE * error[best])
+    slowest = best + int(worse[0]) - 1 if len(worse) else len(times) - 1
     unit, name = runs.channel(QUALITY).unit, QUALITY.split()[0]
     said = (
         f"The RMS error of {name} is least, {told(error[best], unit)}, at a sample time of {told(1e3 * times[best], 'ms')} "
@@ -51,9 +54,8 @@ def _verdict(runs: Runs) -> str:
     if slowest < len(times) - 1:
         said += f"; at {told(1e3 * times[-1], 'ms')} it is {told(error[-1], unit)}, the bandwidth {told(band[-1], 'rad/s')}"
     else:
-        said += "; no slower sampling was tried"
-    failed = [told(1e3 * t, "ms") for t, e in zip(times, error, strict=True) if not np.isfinite(e)]
-    return f"{said}." + f" At {', '.join(failed)} every run failed." * bool(failed)
+        said += "; no slower sampling came to an end or was tried"
+    return f"{said}."
 
 
 main = study(asked)

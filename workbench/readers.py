@@ -369,12 +369,36 @@ def _table(path: Path, header: _Header) -> np.ndarray:
     if table is None and header.delimiter == ";":
         with open(path, encoding="utf-8-sig", errors="replace") as stream:
             table = _numbers((line.translate(_POINTS) for line in stream), header)
+        if table is not None:
+            _check_thousands(path, header)
     if table is not None and not table.size:
         return np.empty((0, wanted))
     if table is None or table.shape[1] != wanted or not np.isfinite(table).all():
         table = np.array(list(_rows(path, header)))
     return table
 
+
+def _check_thousands(path: Path, header: _Header) -> None:
+    """Refuse a column whose commas may all be marks of thousands: 999 and 1,234 in one column."""
+    marks: dict[int, tuple[int, str]] = {}  # by column the first cell with a comma
+    decimal, plain = set(), set()
+    for line, text in _lines(path):
+        if line > header.line:
+            for j, cell in enumerate(text.split(header.delimiter)):
+                if "," not in cell:
+                    plain.add(j)
+                elif _THOUSANDS.fullmatch(cell.strip()):
+                    marks.setdefault(j, (line, cell.strip()))
+                else:
+                    decimal.add(j)
+    for j, (line, cell) in marks.items():
+        if j in plain and j not in decimal:
+            mend = f"write {cell.replace(',', '.')} if it is decimal, {cell.replace(',', '')} if not"
+            said = f"{cell!r} beside numbers without a comma: is it a decimal comma, or a mark of thousands?"
+            raise InputError(said, file=path, line=line, channel=header.names[j], mend=mend)
+
+
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 
 #: Decimal commas to points; a point beside them, of thousands, makes no number.
 _POINTS = str.maketrans({",": ".", ".": "_"})

@@ -67,7 +67,7 @@ class Detection:
         key, _, parameter = self.effect.rpartition(":")
         hidden = {key: {parameter: at["size"]}} if at["size"] else {}
         found = diagnose(self.recorded.sampled(at), self.recorded.records(point.seed, at, effects=hidden))
-        own = [cause for cause in found.causes if cause.key == key or key in cause.ties]
+        own = [cause for cause in found.causes if cause.key == key or key in cause.ties] if hidden else []
         alone = [cause for cause in own if cause.key == key and not cause.ties]
         said = {"found": bool(own), "named": bool(alone), "wrong": len(found.causes) > len(own)}
         limits = [limit.value for limit in found.limits if f"{limit.effect}@{limit.place}" == key]

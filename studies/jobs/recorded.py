@@ -76,8 +76,10 @@ class Recorded:
         if not self.experiments:
             raise InputError("no experiments", file=self.plant, mend=f"some of {', '.join(EXPERIMENTS[self.plant])}")
         channels = (*self.machine.input_names, *self.machine.output_names)
-        for name in (*self.inputs, *self.outputs, *filter(None, [self.schedule])):
+        for name in (*self.inputs, *filter(None, [self.schedule])):
             check_known("channel", name, channels, file=self.plant)
+        for name in self.outputs:
+            check_known("output", name, self.machine.output_names, file=self.plant)
 
     @property
     def machine(self) -> Plant:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from studies import cli
 from studies.cli import main
 from workbench.readers import read
 
@@ -271,3 +272,14 @@ def test_the_shell_is_told_what_could_stand_there(tmp_path, typed, offered):
     environment = os.environ | asked | {"PYTHONPATH": str(root), "_ARGCOMPLETE_SUPPRESS_SPACE": "1", "_ARGCOMPLETE_IFS": "\n"}
     subprocess.run([sys.executable, "-m", "studies.cli"], env=environment, check=False, capture_output=True)
     assert {line.strip() for line in told.read_text().splitlines()} == offered
+
+
+def test_what_the_shell_runs_says_a_crash_with_a_code_that_is_no_answer(monkeypatch, capsys):
+    """1 would mean that a check has failed."""
+    monkeypatch.setattr(sys, "argv", ["workbench", "doctor"])
+    monkeypatch.setattr("studies.commands.run", lambda options: 1 / 0)
+    assert cli.console() == 70
+    assert "ZeroDivisionError" in capsys.readouterr().err
+    monkeypatch.setattr("studies.commands.run", lambda options: 1)
+    assert cli.console() == 1
+    assert '"studies.cli:console"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")

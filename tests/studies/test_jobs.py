@@ -193,6 +193,14 @@ def test_what_a_diagnosis_says_is_found_named_or_wrong(causes, said, monkeypatch
     assert not seen["plant"].effects  # it is not told
 
 
+def test_an_effect_that_is_named_where_nothing_is_hidden_is_wrong(monkeypatch):
+    named = (cause("coulomb@rail", level=(0.01, 0.008, 0.012)),)
+    answer = Diagnosis("welding-robot", Finding.NAMED, named, {}, (), (), (), None, {}, {}, (), np.empty((0, 0)))
+    monkeypatch.setattr(detection, "diagnose", lambda plant, dataset: answer)
+    (found,) = Detection(Recorded("welding-robot", ("prbs",)), "coulomb@rail:level", {}, ("size",))([Point(0, 3, {"size": 0.0})])
+    assert [found.get(name) for name in ("found", "named", "wrong", "inside")] == [0.0, 0.0, 1.0, None]
+
+
 def test_a_large_friction_is_found_and_named_and_nothing_where_there_is_none():
     job = Detection(Recorded("welding-robot", ("prbs", "rbs")), "coulomb@rail:level", {}, ("size",))
     none, large = job([Point(0, 3, {"size": 0.0}), Point(1, 3, {"size": 0.1})])
@@ -230,7 +238,7 @@ def test_a_file_asks_for_every_job_and_its_rows_are_the_jobs(name, tmp_path, mon
         ("identification", "order = 2", "order = 2.5", "order = 2.5"),
         ("identification", "order = 2", "order = 2\nnoise = 1.0", "leave it out: it is varied"),
         ("identification", 'inputs = ["u"]', 'inputs = "u"', "expected a list of texts"),
-        ("identification", '["v"]', '["w"]', "unknown channel 'w'"),
+        ("identification", '["v"]', '["w"]', "unknown output 'w'"),
         ("identification", '"welding-robot"', '"my_plant.py:MINE"', "unknown machine with experiments"),
         ("pid-design", "v = 0.2", "w = 0.2", "outputs and set-points differ: v, w"),
         ("pid-design", "[fixed.run]\nduration = 5.0\n", "", "duration"),

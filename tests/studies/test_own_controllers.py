@@ -173,3 +173,80 @@ def test_what_does_not_fit_the_plant_is_refused(tmp_path, capsys, change, said):
     path.write_text(LAWS.replace(*change))
     assert main(["simulate", "welding-robot", "--controller", f"{path}:STEPS", *HELD, "--out", str(tmp_path / "run")]) == 2
     assert re.search(said, capsys.readouterr().err)
+
+
+def test_two_files_of_ones_own_have_helpers_of_one_name_each_beside_itself(laws, tmp_path):
+    """A law whose gain stands in params.py, and a plant with another params.py beside it."""
+    texts = {"law": LAWS.replace("8.0 * e", "params.KP * e").replace("import numpy", "import params\nimport numpy")}
+    texts["plant"] = "import params\nfrom plants import WELDING_ROBOT\nMINE = WELDING_ROBOT\nGAIN = params.KP\n"
+    for name, gain in (("law", 8.0), ("plant", 2.0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.py").write_text(texts[name])
+        (tmp_path / name / "params.py").write_text(f"KP = {gain}\n")
+    plant, law = f"{tmp_path / 'plant' / 'plant.py'}:MINE", f"{tmp_path / 'law' / 'law.py'}:STEPS"
+    words = ["simulate", plant, "--controller", law, *HELD, "--out", str(tmp_path / "o")]
+    assert main(words) == 0
+    np.testing.assert_array_equal(read(tmp_path / "o" / "setpoint.csv")["v"], runs(f"{laws}:STEPS", tmp_path / "alone")["v"])
+    named = json.dumps(json.loads((tmp_path / "o" / "simulate.json").read_text())["provenance"])
+    assert named.count("params.py") == 2  # both are part of what was run
+    assert choose_controller(law).files == (law.rpartition(":")[0], str(tmp_path / "law" / "params.py"))
+
+
+def test_a_sweep_does_not_go_on_where_a_helper_of_the_law_has_changed(tmp_path, capsys):
+    (tmp_path / "law.py").write_text(
+        LAWS.replace("8.0 * e", "params.KP * e").replace("import numpy", "import params\nimport numpy")
+    )
+    (tmp_path / "params.py").write_text("KP = 8.0\n")
+    (tmp_path / "s.toml").write_text(SWEEP.format(more=""))
+    words = ["sweep", str(tmp_path / "s.toml"), "--controller", f"{tmp_path / 'law.py'}:STEPS", "--out", str(tmp_path / "o")]
+    assert main(words) == 0
+    (tmp_path / "params.py").write_text("KP = 2.0\n")
+    assert main([*words, "--resume"]) == 2
+    assert "another sweep, job or version" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("self.z = getattr(self, 'z', 0.0) + e\n        return 8.0 * e + self.z, state", "keeps something in itself"),
+        ("state += e\n        return 8.0 * e + state, state", ""),
+        ("self.last = np.array(e)\n        return 8.0 * e, state", ""),
+    ],
+)
+def test_a_step_that_keeps_something_beside_its_memory_is_refused(tmp_path, law, said):
+    text = LAWS.replace("return 8.0 * e + state, state + 0.24 * e", law)
+    assert text != LAWS
+    (tmp_path / "law.py").write_text(text)
+    if said:
+        with pytest.raises(InputError, match=said):
+            choose_controller(f"{tmp_path / 'law.py'}:STEPS")
+    else:  # its own memory, made anew by init, and what never comes back, do no harm
+        assert choose_controller(f"{tmp_path / 'law.py'}:STEPS")
+
+
+def test_a_memory_that_is_one_array_for_all_runs_is_refused(tmp_path):
+    text = LAWS.replace("return 8.0 * e + state, state + 0.24 * e", "state += e\n        return 8.0 * e + state, state")
+    text = text.replace("        return np.array([0.0 if u is None else u[0]])", "        return KEPT").replace(
+        "class Loop:", "KEPT = np.zeros(1)\n\nclass Loop:"
+    )
+    (tmp_path / "law.py").write_text(text)
+    with pytest.raises(InputError, match="changes its memory in place"):
+        choose_controller(f"{tmp_path / 'law.py'}:STEPS")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("e = r[0] - y[0]\n", "e = (np.array(r) - np.array(y))[0]\n        e = e if np.isnan(e).any() else e\n", "its law"),
+        ("gains[0] * e + state[0]]", "gains[0] * np.polyval([1.0, 0.0], e) * (e > 0) & (e < 1)]", "its law"),
+        ('None, ("u",)', 'None, ("u", "u")', "name each channel once"),
+        ("    gains =", "    def step(self, state, r, y, rho):\n        return r, state\n\n    gains =", "has law and step"),
+        ("def step(self, state, r, y, rho)", "def step(self, r, y)", "its step: TypeError"),
+    ],
+)
+def test_what_could_not_be_compiled_or_told_apart_is_refused_before_a_run(tmp_path, old, new, said):
+    assert old in LAWS
+    (tmp_path / "law.py").write_text(LAWS.replace(old, new, 1))
+    name = "STEPS" if "def step(self, r, y)" in new else "LAW"
+    with pytest.raises(InputError, match=said):
+        choose_controller(f"{tmp_path / 'law.py'}:{name}")

@@ -7,7 +7,7 @@ import pytest
 
 from studies import STUDIES, detection_rate, noise_level, pid_bandwidth, record_count, sampling_time
 from studies.cli import main
-from studies.question import Answer, Question, Runs, study
+from studies.question import NOWHERE, Answer, Question, Runs, _lost, study
 from workbench.errors import InputError
 from workbench.files import read_json
 from workbench.report.blocks import Table
@@ -66,9 +66,23 @@ def test_the_slowest_sampling_that_costs_little_and_what_no_law_keeps():
     assert "least, 1, at a sample time of 20 ms" in said
     assert "within 10 % of that up to 40 ms (1.09)" in said
     assert "at 80 ms it is 2" in said
-    lost = sampling_time.read(loops("dt", [0.01, 0.02, 0.04], [1.0, 1.2, None])).verdict
-    assert "At 40 ms every run failed." in lost
-    assert "no slower sampling was tried" in sampling_time.read(loops("dt", [0.01, 0.02], [1.2, 1.0])).verdict
+    lost = sampling_time.read(loops("dt", [0.01, 0.02, 0.04], [1.0, 1.05, None])).verdict
+    assert "up to 20 ms (1.05); no slower sampling came to an end" in lost
+    assert "nan" not in lost
+    # what comes after a bad one is not within reach
+    assert "up to 20 ms" in sampling_time.read(loops("dt", [0.01, 0.02, 0.04, 0.08, 0.12], [1.0, 1.05, 1.5, 1.08, 2.0])).verdict
+    assert sampling_time.read(loops("dt", [0.01, 0.02], [None, None])).verdict == NOWHERE
+
+
+def test_a_level_at_which_a_run_failed_is_not_the_best_and_is_told():
+    """At 120 ms three of four runs ran away, and the one that did not is the best of all."""
+    columns = ("dt", "theta RMS", "bandwidth", "delay margin", "integral action", "w3 RMS", "V1 travel")
+    rows = [(i, 0, dt, 1.0, 5.0, 0.1, 1.0, 1.0, 1.0, "") for i, dt in enumerate([0.04, 0.04, 0.08, 0.08])]
+    rows += [(4, 0, 0.12, 0.9, 5.0, 0.1, 1.0, 1.0, 1.0, ""), (5, 0, 0.12, *[None] * 6, "left the range")]
+    found = Rows(("run", "seed", *columns, "error"), dict.fromkeys(columns, ""), ("dt",), tuple(rows))
+    said = sampling_time.read(Runs(found)).verdict
+    assert "least, 1, at a sample time of 40 ms" in said
+    assert list(_lost(found)) == ["At dt 0.12 1 of 2 runs failed."]
 
 
 def test_the_best_model_by_noise_is_said_where_there_is_one_and_where_it_changes():
@@ -81,7 +95,9 @@ def test_the_best_model_by_noise_is_said_where_there_is_one_and_where_it_changes
     assert "At 8 times the noise of the sensors: LTI 40.0 %, ILM 70.0 %, SSM 72.0 % (the true machine 80.0 %)." in said
     assert "SSM is best at every level, by 2.0 points of FIT or more." in said
     assert "The best one by noise: 1: SSM; 8: ILM." in noise_level.read(seen([95.0, 69.0])).verdict
-    assert "8: a method failed" in noise_level.read(seen([95.0, None])).verdict
+    lost = noise_level.read(seen([95.0, None])).verdict
+    assert "8: a method failed" in lost
+    assert "SSM failed (the true machine" in lost
 
 
 def test_how_many_records_an_envelope_needs():
@@ -90,7 +106,9 @@ def test_how_many_records_an_envelope_needs():
 
     said = record_count.read(seen([96.0, 99.0, 99.95])).verdict
     assert "From 1 record the envelope of w3 holds 96.00 %" in said
-    assert "4 records are the first with 99.9 % or more inside." in said
+    assert "From 4 records on 99.9 % or more are inside." in said
+    assert "None of these reaches 99.9 %" in record_count.read(seen([96.0, 99.95, 99.5])).verdict  # once is not from there on
+    assert "From 2 records the envelope" in record_count.read(seen([None, 99.0, 99.5])).verdict
     assert "None of these reaches 99.9 %" in record_count.read(seen([96.0, 99.0, 99.5])).verdict
 
 
@@ -112,6 +130,14 @@ def test_from_which_size_on_an_effect_is_found_and_what_is_wrongly_named():
         ("size",), size=size, found=0 * size, named=0 * size, wrong=wrong, inside=inside, estimate=size, limit=np.full(16, 0.5)
     )  # fmt: skip
     assert "None of these sizes is found in 95 %" in detection_rate.read(nowhere).verdict
+    # runs that failed are misses, and no reason to end without a page
+    lost = np.where(size == 2.0, None, found)
+    holes = runs(
+        ("size",), size=size, found=lost, named=lost, wrong=wrong, inside=inside, estimate=size, limit=np.full(16, np.nan)
+    )  # fmt: skip
+    answer = detection_rate.read(holes)
+    assert "nan" not in answer.verdict
+    assert next(b for b in answer.blocks if isinstance(b, Table)).rows[2][1].startswith("no case")
 
 
 @pytest.mark.parametrize("name", QUESTIONS)
@@ -155,7 +181,7 @@ def test_a_study_goes_on_where_it_stopped_and_says_what_failed(tmp_path):
     said = []
     page = study(doubled)(quick=True, folder=tmp_path, seed=1, say=said.append)
     assert "3 runs, 1 failed" in said[0]
-    assert "y is 2. This was a quick look with few runs." in said[0]
+    assert "y is 2. At x 3 1 of 1 runs failed. This was a quick look with few runs." in said[0]
     assert "three" in page.read_text(encoding="utf-8")
     content = read_json(tmp_path / "doubled.json")
     assert content["rows"][2][2:] == [3.0, None, "InputError: three" if "InputError" in content["rows"][2][-1] else "three"]
@@ -165,8 +191,9 @@ def test_a_study_goes_on_where_it_stopped_and_says_what_failed(tmp_path):
     assert len(read_rows(tmp_path / "sweep.sqlite").rows) == 3
     with pytest.raises(InputError, match="every run failed, the first with: three"):
         study(doubled)(folder=tmp_path / "other", seed=9)
-    with pytest.raises(InputError, match="another sweep, job or version"):
+    with pytest.raises(InputError, match="another sweep, job or version") as refused:
         study(doubled)(folder=tmp_path, seed=9)
+    assert "--seed, --quick and program that began it" in refused.value.mend
     with pytest.raises(InputError, match="makes its own records"):
         study(doubled)(folder=tmp_path, data="records")
 

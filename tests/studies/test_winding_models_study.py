@@ -81,11 +81,7 @@ def test_weakness_is_found_where_it_is():
     """A model that is wrong at large radius only: the error by radius says so, and the verdict's ratio with it."""
     from workbench.data import Dataset
 
-    record = winding_models.simulate(
-        winding_models.WEB_WINDING,
-        winding_models.plan("web-winding", "rbs").controller,
-        winding_models.plan("web-winding", "rbs").scenario(2),
-    ).experiment.with_roles(("V1", "V2"), ("w3",), ("r2",))
+    record = winding_models.measured(winding_models.WEB_WINDING, "rbs", 2).with_roles(("V1", "V2"), ("w3",), ("r2",))
     model = winding_models.LTI(order=3).fit(Dataset((record.trim(stop=30.0),)))  # knows the small radii only
     edges = np.linspace(record["r2"].min(), record["r2"].max(), winding_models.BANDS + 1)
     errors = winding_models._band_errors(model, Dataset((record,)), edges)

@@ -162,6 +162,16 @@ def test_blank_lines_do_not_shift_the_line_that_is_named(tmp_path):
     assert refusal(put(tmp_path, "\n".join(lines))).line == 9
 
 
+def test_a_comma_that_may_mark_thousands_is_asked_about_and_decimals_are_not(tmp_path):
+    error = refusal(put(tmp_path, "t;u;v\n0;1,234;5,6\n1;999;5,5\n2;1,002;5,4\n3;998;5,5\n"))
+    assert (error.line, error.channel) == (2, "u")
+    assert "'1,234' beside numbers without a comma" in error.problem
+    assert "1.234 if it is decimal, 1234 if not" in error.mend
+    found = read(put(tmp_path, "t;u;v\n0;1,234;0,125\n1;2,5;1\n2;3;0,625\n3;1,5;0\n"))
+    np.testing.assert_array_equal(found["u"], [1.234, 2.5, 3.0, 1.5])
+    np.testing.assert_array_equal(found["v"], [0.125, 1.0, 0.625, 0.0])
+
+
 def test_a_record_of_uneven_steps_is_not_to_be_cut_at_each_of_them(tmp_path):
     """The logger had no clock of its own: every third sample comes late."""
     t = np.cumsum(np.where(np.arange(60) % 3 == 0, 0.02, 0.01))

@@ -2,9 +2,11 @@
 
 from typing import Any, Protocol, runtime_checkable
 
+import casadi as ca
 import numpy as np
 
 from workbench.errors import InputError
+from workbench.physics.plant import symbolic_numpy
 from workbench.records import field, record
 
 
@@ -96,6 +98,10 @@ def check_controller(controller: Any, file: object) -> None:
         value = getattr(controller, name)
         if not isinstance(value, tuple | list) or not all(isinstance(own, str) for own in value):
             raise InputError(f"{name} = {value!r}", file=file, mend=f"expected a tuple of names: {name} = ('v',)")
+        if len({*value}) < len(value):
+            raise InputError(f"{name} = {value!r}", file=file, mend="name each channel once")
+    if hasattr(controller, "law") and hasattr(controller, "step"):
+        raise InputError("has law and step", file=file, mend="one of them: an equation, or what is asked sample by sample")
     if not controller.actuated or len(controller.references) > len(controller.measured):
         said = (
             f"{len(controller.references)} set-points, {len(controller.measured)} measured, {len(controller.actuated)} actuated"
@@ -103,6 +109,31 @@ def check_controller(controller: Any, file: object) -> None:
         raise InputError(said, file=file, mend="name an input at least; set-points belong to the first of measured, one by one")
     if isinstance(controller, Controller):
         _check_law(controller, file)
+    else:
+        _check_memory(controller, file)
+
+
+def _check_memory(controller: Any, file: object) -> None:
+    """Refuse a law that keeps something from run to run: after `init` the same samples must give the same commands."""
+    nr, ny, rho = len(controller.references), len(controller.measured), 1.0 if controller.schedule else None
+
+    def run() -> np.ndarray:
+        state, said = controller.init(), []
+        for k in range(3):
+            u, state = controller.step(state, np.full(nr, 0.3), np.full(ny, 0.1 * k), rho)
+            said.append(np.array(u, dtype=float))
+        return np.array(said)
+
+    try:
+        first, again = run(), run()
+    except (TypeError, AttributeError) as reason:
+        mend = "expected init() -> memory and step(memory, r, y, rho) -> (commands, next memory)"
+        raise InputError(f"its step: {type(reason).__name__}: {reason}", file=file, mend=mend) from reason
+    except Exception:
+        return  # these numbers need not make sense to it
+    if not np.array_equal(first, again, equal_nan=True):
+        said = "its step keeps something in itself or changes its memory in place: a second run would begin otherwise"
+        raise InputError(said, file=file, mend="give everything that it remembers back as the next memory, a new one each time")
 
 
 def _check_law(controller: Controller, file: object) -> None:
@@ -122,6 +153,12 @@ def _check_law(controller: Controller, file: object) -> None:
             u, after = controller.law(gains, state, r, y, some if controller.schedule else None)
         for value in (*u, *after):
             np.broadcast_to(np.asarray(value, dtype=float), 3)
+        with symbolic_numpy():  # what is compiled is the law of symbols
+            names = (gains, cold, controller.references, controller.measured)
+            g, z, r, y = ([ca.SX.sym("argument") for _ in own] for own in names)
+            said = controller.law(g, z, r, y, ca.SX.sym("rho") if controller.schedule else None)
+            for value in (*said[0], *said[1]):
+                ca.SX(value)
     except Exception as reason:
         raise InputError(f"its law: {type(reason).__name__}: {reason}", file=file, mend=asked) from reason
     if gains.ndim != 1 or cold.ndim != 1 or cold.shape != taken.shape:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from workbench.errors import InputError, check_known
@@ -71,6 +72,8 @@ def _misfits(effect: Effect, port: Port) -> Iterator[tuple[str, str]]:
 
 def _check_law(effect: Effect, port: Port, place: str) -> None:
     """Call the law with sizes of 0."""
+    from workbench.physics.plant import symbolic_numpy
+
     e = Named({p.name: p.default for p in effect.parameters})
     try:
         effect.sentence.format(place=port.place)
@@ -80,6 +83,9 @@ def _check_law(effect: Effect, port: Port, place: str) -> None:
     try:
         with np.errstate(all="ignore"):
             found = [np.broadcast_to(_number(value), TRIED.shape) for value in port.beyond(effect, e, _arguments())]
+        with symbolic_numpy():  # what is compiled is the law of symbols
+            for value in port.beyond(effect, e, lambda: ca.SX.sym("argument")):
+                ca.SX(value)
     except InputError as reason:
         raise InputError(f"its law: {reason.problem}", file=place, mend=f"{reason.mend}; {asked}") from None
     except Exception as reason:
