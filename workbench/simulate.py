@@ -85,7 +85,7 @@ def simulate(
         run, memories = stepper.run_stepwise(plant, controller, lanes, used, controller.init(held if bumpless else None))
     k = int(_first_outside(plant, run.states)[0])
     if not cut or k < 2:
-        _check_range(plant, scenario, run.states[0], k)
+        _check_range(plant, scenario, run.states[0], run.commands[0], k)
     t = plant.dt * np.arange(k)
     units = {c.name: c.unit for c in plant.outputs} | {c.name: c.unit for c in plant.inputs}
     sources = dict(zip(controller.references, controller.measured, strict=False))
@@ -262,6 +262,12 @@ def _signals(plant: Plant, controller: Loop, scenario: Scenario) -> tuple[np.nda
     return reference, disturbance, noise
 
 
+def lost_command(commands: np.ndarray, k: int) -> int | None:
+    """First sample before k at which commands (N, nu) are no numbers: what the state is lost by; None where there is none."""
+    lost = np.isnan(commands[:k]).any(axis=1)
+    return int(lost.argmax()) if lost.any() else None
+
+
 def _first_outside(plant: Plant, states: np.ndarray) -> np.ndarray:
     """First sample at which each run (R, N, nx) has left the plant's limits or the finite range; N where none has."""
     low, high = np.array([plant.limits.get(name, (-np.inf, np.inf)) for name in plant.state_names]).T
@@ -269,10 +275,16 @@ def _first_outside(plant: Plant, states: np.ndarray) -> np.ndarray:
     return np.where(bad.any(axis=1), bad.argmax(axis=1), states.shape[1])
 
 
-def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray, k: int) -> None:
+def _check_range(plant: Plant, scenario: Scenario, states: np.ndarray, commands: np.ndarray, k: int) -> None:
     """Refuse a run (N, nx) that left the range in which the plant's equation means something at sample k < N."""
     if k == len(states):
         return
+    if (at := lost_command(commands, k)) is not None:
+        raise LeftRangeError(
+            f"the law commands no number at t = {at * plant.dt:g} s",
+            file=f"{plant.name}, {scenario.name}",
+            mend="is something divided by 0, or a root taken of what is negative?",
+        )
     for channel, value in zip(plant.states, states[k], strict=True):
         low, high = plant.limits.get(channel.name, (-np.inf, np.inf))
         if not (np.isfinite(value) and low <= value <= high):

@@ -22,7 +22,7 @@ from workbench.physics.controller import Controller
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
 from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
-from workbench.simulate import LeftRangeError, Scenario, simulate, simulate_batch
+from workbench.simulate import LeftRangeError, Scenario, lost_command, simulate, simulate_batch
 from workbench.sweep import Point, StoppedError, Sweep
 from workbench.toml import Table
 
@@ -132,6 +132,8 @@ def scores(plant: Plant, law: Any, scenario: Scenario, y: np.ndarray, u: np.ndar
     """Of a run's outputs y (N, ny) and commands u (N, nu): RMS, max and IAE of every error, travel of every command."""
     if not np.isfinite(y).all():
         k = int(np.isnan(y).any(axis=1).argmax())
+        if (at := lost_command(u, k)) is not None:
+            return LeftRangeError(f"the law commands no number after {at * plant.dt:g} s")
         return LeftRangeError(f"left the range of {plant.name} after {k * plant.dt:g} s")
     found = {}
     for name, reference in zip(law.measured, law.references, strict=False):

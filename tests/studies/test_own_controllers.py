@@ -250,3 +250,13 @@ def test_what_could_not_be_compiled_or_told_apart_is_refused_before_a_run(tmp_pa
     name = "STEPS" if "def step(self, r, y)" in new else "LAW"
     with pytest.raises(InputError, match=said):
         choose_controller(f"{tmp_path / 'law.py'}:{name}")
+
+
+def test_an_equation_that_commands_no_number_is_told_as_such(tmp_path, capsys):
+    (tmp_path / "law.py").write_text(LAWS.replace("gains[0] * e + state[0]]", "gains[0] * np.sqrt(0.01 - y[0])]"))
+    law = f"{tmp_path / 'law.py'}:LAW"
+    assert main(["simulate", "welding-robot", "--controller", law, *HELD, "--out", str(tmp_path / "o")]) == 2
+    assert "the law commands no number at t = " in capsys.readouterr().err
+    (tmp_path / "s.toml").write_text(SWEEP.format(more=""))
+    assert main(["sweep", str(tmp_path / "s.toml"), "--controller", law, "--out", str(tmp_path / "swept")]) == 0
+    assert "the first: the law commands no number after " in capsys.readouterr().out
