@@ -3,7 +3,6 @@
 import importlib
 import importlib.util
 import math
-import os
 import sys
 from collections.abc import Callable, Iterable
 from datetime import datetime
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from plants import PLANTS
+from studies import PACKAGES
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import read_json
@@ -174,16 +174,23 @@ def _load_file(path: Path):
         raise InputError(f"{type(reason).__name__}: {reason}", file=path, mend="run the file with python first") from reason
     finally:
         sys.path.remove(beside)
-        helpers = {name: _file_of(sys.modules[name]) for name in sys.modules.keys() - before}
-        helpers = {name: file for name, file in helpers.items() if file.startswith(beside + os.sep)}
+        helpers = {name: file for name in sys.modules.keys() - before if (file := _lies_in(beside, name))}
         for name in helpers:
             del sys.modules[name]  # another file may have another one of this name beside it
     _BESIDE[str(path.resolve())] = tuple(sorted(helpers.values()))
     return module
 
 
-def _file_of(module: Any) -> str:
-    return str(Path(found).resolve()) if (found := getattr(module, "__file__", None)) else ""
+def _lies_in(folder: str, name: str) -> str | None:
+    """The file of a module that lies in this folder itself, as name.py or in the package name/, and is not of this program.
+
+    What is installed somewhere below the folder, such as in a virtual environment, does not count.
+    """
+    file, top = getattr(sys.modules[name], "__file__", None), name.split(".")[0]
+    path = Path(file).resolve() if file else None
+    if path is None or top in PACKAGES or not path.is_relative_to(folder):
+        return None
+    return str(path) if path.relative_to(folder).parts[0] in (top, f"{top}.py") else None
 
 
 #: By Python file of the user, the files beside it that it has imported.

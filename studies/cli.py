@@ -281,8 +281,7 @@ def parser() -> argparse.ArgumentParser:
     study: Any = sub.add_argument(
         "study",
         metavar="STUDY",
-        help="web-winding (the whole chain), winding-models, welding-robot, emps, winding-records, hidden-effects, "
-        "controller-comparison, robust-winding, pid-bandwidth, sampling-time, noise-level, record-count, detection-rate",
+        help=", ".join(STUDIES).replace("web-winding", "web-winding (the whole chain)"),
     )
     study.completer = lambda **_: list(STUDIES)
     sub.add_argument("--data", metavar="DIR", help="use the records in this folder instead of simulated ones")

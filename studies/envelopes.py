@@ -8,7 +8,7 @@ import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
-from workbench.intervals.coverage import SAYS_NOTHING, Coverage
+from workbench.intervals.coverage import SAYS_NOTHING, Coverage, pooled
 from workbench.intervals.domains import shadow
 from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
 from workbench.intervals.output_error import OutputErrorRegression
@@ -148,8 +148,7 @@ def covered_verdict(envelopes: Sequence[Coverage]) -> str:
         if horizon == "free-run" and any(c.relative > SAYS_NOTHING for c in own):
             said.append("free-run as wide as the output moves, it says nothing")
             continue
-        inside = sum(c.coverage * c.samples for c in own) / sum(c.samples for c in own)
-        width = sum(c.relative * c.samples for c in own) / sum(c.samples for c in own)
+        inside, width = pooled(own, lambda line: line.coverage), pooled(own, lambda line: line.relative)
         said.append(f"{horizon} {100 * inside:.1f} % of the measured values within ±{100 * width:.2g} % of the range")
     where = "held-out records" if held[0].split == "held-out" else "the records it was made from"
     return f"Envelopes of {held[0].model} on {where}: {', '.join(said)}."

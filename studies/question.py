@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from studies.sweep_page import failures
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -24,7 +25,6 @@ from workbench.report.page import write_report
 from workbench.sweep import Job, Rows, Sweep, export_csv, read_rows, run_sweep
 
 Say = Callable[[str], None]
-ERRORS = 10  # of failed runs on a page
 NOWHERE = "Nowhere did every run come to an end: no answer."
 
 
@@ -55,8 +55,7 @@ class Runs:
         self.failed = np.array([bool(row[-1]) for row in found.rows])
 
     def __getitem__(self, name: str) -> np.ndarray:
-        i = self.found.names.index(name)
-        return np.array([v if isinstance(v := row[i], int | float) else np.nan for row in self.found.rows], dtype=float)
+        return self.found.column(name)
 
     def texts(self, name: str) -> np.ndarray:
         """A column of texts."""
@@ -130,7 +129,7 @@ def study(asked: Callable[[bool, int], Question]) -> Callable[..., Path]:
         for path in (folder / f"{question.name}.json", json):
             if path:
                 write_json(path, content | {"provenance": source})
-        sections = [Section("Answer", answer.blocks), *_failed(found), Section("Provenance", (Provenance(source),))]
+        sections = [Section("Answer", answer.blocks), *failures(found), Section("Provenance", (Provenance(source),))]
         page = write_report(Report(question.title, verdict, tuple(sections)), folder)
         say(f"{done.runs} runs, {done.failed} failed\n{verdict}\n\nreport: {page}")
         return page
@@ -147,13 +146,6 @@ def _lost(found: Rows) -> Iterable[str]:
             f"{name} {v if isinstance(v, str) else f'{v:g}'}" for name, v in zip(found.parameters, values, strict=True)
         )
         yield f"At {named} {sum(bool(row[-1]) for row in own)} of {len(own)} runs failed."
-
-
-def _failed(found: Rows) -> Iterable[Section]:
-    rows = tuple((row[0], row[1], row[-1]) for row in found.rows if row[-1])
-    if rows:
-        caption = f"The first {min(len(rows), ERRORS)} of {len(rows)}."
-        yield Section("Failed runs", (Table("Errors", ("run", "seed", "error"), rows[:ERRORS], caption),))
 
 
 def drawn(sweep: Sweep, seed: int, count: int) -> Sweep:

@@ -8,7 +8,7 @@ from controllers.files import controller_of
 from plants import PLANTS
 from studies.arguments import Chosen, ChosenController, choose_controller, choose_plant, is_own, run_folder, trusted_plant
 from workbench.errors import InputError
-from workbench.files import write_json
+from workbench.files import nullable, write_json
 from workbench.provenance import provenance
 from workbench.readers import write_csv
 from workbench.robustness.falsify import SAME, Counterexample, load_counterexample, same
@@ -31,9 +31,9 @@ def run(options: Namespace, say: Say) -> int:
         return _run_sequence(options, say)
     stored = load_counterexample(options.replay)
     chosen = _plant(options, stored)
-    law = _law(options, stored, chosen)
+    controller = _controller(options, stored, chosen)
     try:
-        found = stored.replay(chosen.plant, law.law)
+        found = stored.replay(chosen.plant, controller.law)
     except InputError as reason:
         raise InputError(reason.problem, file=options.replay, channel=reason.channel, mend=reason.mend) from None
     folder = run_folder(options.out, "simulate")
@@ -48,10 +48,10 @@ def run(options: Namespace, say: Say) -> int:
     content = {
         "record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": stored.effects,
         "same": found.same, "limit": stored.limit.signal, "bound": stored.bound, "unit": unit, "sample": found.sample,
-        "stored": _number(stored.excess), "found": _number(found.excess),
+        "stored": nullable(stored.excess), "found": nullable(found.excess),
     }  # fmt: skip
     configuration = {"plant": options.plant or stored.base, "replay": options.replay, "controller": options.controller}
-    source = provenance(configuration, [options.replay, *chosen.files, *law.files], stored.scenario.seed)
+    source = provenance(configuration, [options.replay, *chosen.files, *controller.files], stored.scenario.seed)
     for target in (folder / "simulate.json", options.json):
         if target:
             write_json(target, {"runs": [content], "provenance": source})
@@ -92,7 +92,7 @@ def _plant(options: Namespace, stored: Counterexample) -> Chosen:
     return chosen
 
 
-def _law(options: Namespace, stored: Counterexample, chosen: Chosen) -> ChosenController:
+def _controller(options: Namespace, stored: Counterexample, chosen: Chosen) -> ChosenController:
     """The controller that the file holds; a law of the user's own is named again: a file never makes a program run."""
     own = stored.controller.get("own")
     if own is None and options.controller:
@@ -103,8 +103,3 @@ def _law(options: Namespace, stored: Counterexample, chosen: Chosen) -> ChosenCo
     if own is not None:
         return choose_controller(options.controller, chosen.base)
     return ChosenController(controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base)), ())
-
-
-def _number(value: float) -> float | None:
-    """JSON has no infinity."""
-    return value if abs(value) < float("inf") else None

@@ -23,6 +23,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
+from studies import PACKAGES
 from workbench.errors import InputError
 from workbench.files import read_json, sha256, user_cache, write_json
 from workbench.provenance import versions
@@ -131,7 +132,7 @@ def _key(stage: Stage, folder: Path) -> str:
 def _program() -> str:
     """Hash of the source of this program."""
     root, found = Path(__file__).resolve().parents[1], hashlib.sha256()
-    for package in ("workbench", "controllers", "plants", "studies"):
+    for package in PACKAGES:
         for path in sorted(p for p in (root / package).rglob("*") if p.suffix in (".py", ".js")):
             found.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
     return found.hexdigest()

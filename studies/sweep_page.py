@@ -44,18 +44,21 @@ def page(title: str, sweep: Sweep, found: Rows, indices: Sequence[Index], source
         *([_index_table(indices)] if indices else []),
         _ranges(found, outputs),
     )
-    failed = [(row[0], row[1], row[-1]) for row in found.rows if row[-1]]
-    said = [_headline(found, failed), *_depends(indices, outputs), *([note] if note else [])]
+    said = [_headline(found), *_depends(indices, outputs), *([note] if note else [])]
     sections = [Section("All runs", everything), *sections]
-    if failed:
-        caption = f"The first {min(len(failed), ERRORS)} of {len(failed)}."
-        sections.append(Section("Failed runs", (Table("Errors", ("run", "seed", "error"), tuple(failed[:ERRORS]), caption),)))
-    return Report(title, "\n\n".join(said), (*sections, Section("Provenance", (Provenance(source),))))
+    return Report(title, "\n\n".join(said), (*sections, *failures(found), Section("Provenance", (Provenance(source),))))
 
 
-def _headline(found: Rows, failed: Sequence[Any]) -> str:
-    varied = ", ".join(found.parameters)
-    return f"{len(found.rows)} runs over {varied}" + (f"; {len(failed)} failed." if failed else "; none failed.")
+def failures(found: Rows) -> tuple[Section, ...]:
+    """The errors of failed runs; nothing where none failed."""
+    failed = tuple((row[0], row[1], row[-1]) for row in found.rows if row[-1])
+    caption = f"The first {min(len(failed), ERRORS)} of {len(failed)}."
+    return (Section("Failed runs", (Table("Errors", ("run", "seed", "error"), failed[:ERRORS], caption),)),) if failed else ()
+
+
+def _headline(found: Rows) -> str:
+    failed = sum(bool(row[-1]) for row in found.rows)
+    return f"{len(found.rows)} runs over {', '.join(found.parameters)}; {failed or 'none'} failed."
 
 
 def _depends(indices: Sequence[Index], outputs: Sequence[str]) -> list[str]:
@@ -73,7 +76,7 @@ def _depends(indices: Sequence[Index], outputs: Sequence[str]) -> list[str]:
 
 def _of_output(sweep: Sweep, found: Rows, indices: Sequence[Index], name: str) -> list[Block]:
     own = [i for i in indices if i.output == name]
-    numbers = {n: _column(found, n) for n in (*found.parameters, name)}
+    numbers = {n: found.column(n) for n in (*found.parameters, name)}
     factors = [n for n in found.parameters if np.isfinite(numbers[n]).all() and np.ptp(numbers[n]) > 0.0]
     blocks: list[Block] = []
     if own:
@@ -111,7 +114,7 @@ def _of_output(sweep: Sweep, found: Rows, indices: Sequence[Index], name: str) -
 
 def _parallel(found: Rows, outputs: Sequence[str], indices: Sequence[Index]) -> Picture | None:
     """All runs through the factors and the output that depends on them most."""
-    columns = {n: _column(found, n) for n in (*found.parameters, *outputs)}
+    columns = {n: found.column(n) for n in (*found.parameters, *outputs)}
     drawn = {n: v for n, v in columns.items() if np.isfinite(v).any() and (n in found.parameters or n in outputs[:3])}
     drawn = {n: v for n, v in drawn.items() if n not in found.parameters or np.isfinite(v).all()}
     shown = [n for n in outputs if n in drawn]
@@ -135,14 +138,8 @@ def _index_table(indices: Sequence[Index]) -> Table:
 def _ranges(found: Rows, outputs: Sequence[str]) -> Table:
     rows = []
     for name in outputs:
-        v = _column(found, name)
+        v = found.column(name)
         v = v[np.isfinite(v)]
         q = np.quantile(v, (0.0, 0.05, 0.5, 0.95, 1.0)) if len(v) else np.full(5, np.nan)
         rows.append((f"{name} [{found.units[name]}]", *q.tolist()))
     return Table("Outputs over all runs", ("output", "lowest", "5 %", "median", "95 %", "highest"), tuple(rows), digits=4)
-
-
-def _column(found: Rows, name: str) -> np.ndarray:
-    """Numbers of a column, NaN where there are none."""
-    i = found.names.index(name)
-    return np.array([v if isinstance(v := row[i], int | float) else np.nan for row in found.rows], dtype=float)

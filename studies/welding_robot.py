@@ -21,13 +21,13 @@ from plants import WELDING_ROBOT
 from studies.arguments import record_files, split_estimation
 from studies.bounded import Bounded, bounded, cover_bounded
 from studies.envelopes import described_modes, domain_picture, envelope_pictures, envelope_table, mode_tables, width_picture
-from studies.experiments import CURVES, plan
+from studies.experiments import CURVES, measured
 from studies.results import Result, scores_file
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.identify.lti import LTI
-from workbench.intervals.coverage import SAYS_NOTHING, Coverage, cover
+from workbench.intervals.coverage import SAYS_NOTHING, Coverage, cover, pooled
 from workbench.intervals.model import IntervalModel
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import IntervalRegression, InTime
@@ -41,7 +41,6 @@ from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
-from workbench.simulate import simulate
 
 Say = Callable[[str], None]
 
@@ -191,17 +190,16 @@ def _simulate(seed: int, quick: bool, folder: Path, progress: Say) -> Records:
     drawn = []
     for experiment, name, number, effects in wanted:
         progress(f"simulating {name}, seed {number}")
-        drawn.append(_run(experiment, name, number, effects))
+        drawn.append(_measured(experiment, name, number, effects))
         write_csv(drawn[-1], folder / "records" / f"{name}.csv")
-    mass = _run(ESTIMATION[0], "mass", seed, CURVES["curve4"])
+    mass = _measured(ESTIMATION[0], "mass", seed, CURVES["curve4"])
     write_csv(mass, folder / "records_mass" / "mass.csv")
     estimation, held_out = Dataset(tuple(_known(e) for e in drawn)).split_records(ESTIMATION)
     return Records(estimation, held_out, _known(mass), tuple(folder / "records" / f"{e.name}.csv" for e in drawn))
 
 
-def _run(experiment: str, name: str, seed: int, effects: EffectSizes) -> Experiment:
-    todo = plan(WELDING_ROBOT.name, experiment)
-    return replace(simulate(WELDING_ROBOT, todo.controller, todo.scenario(seed), effects=effects).experiment, name=name)
+def _measured(experiment: str, name: str, seed: int, effects: EffectSizes) -> Experiment:
+    return replace(measured(WELDING_ROBOT, experiment, seed, effects), name=name)
 
 
 def _known(e: Experiment) -> Experiment:
@@ -322,16 +320,16 @@ def _judge(identified: Identified, records: Records) -> Judged:
 
 
 def _mean_radius(lines: list[Coverage]) -> float:
-    return float(np.average([c.mean_radius for c in lines], weights=[c.samples for c in lines])) if lines else math.nan
+    return pooled(lines, lambda line: line.mean_radius)
 
 
 def _inside(lines: list[Coverage]) -> float:
     """Percent of the measured values of all lines."""
-    return 100.0 * float(np.average([c.coverage for c in lines], weights=[c.samples for c in lines])) if lines else math.nan
+    return 100.0 * pooled(lines, lambda line: line.coverage)
 
 
 def _valid(lines: list[Coverage]) -> float:
-    return 100.0 * float(np.average([c.valid for c in lines], weights=[c.samples for c in lines])) if lines else math.nan
+    return 100.0 * pooled(lines, lambda line: line.valid)
 
 
 # ---- truth: the frozen robot --------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from dataclasses import replace
 from studies.bounded import bounded, cover_bounded
 from studies.envelopes import described_modes, envelope_pictures, envelope_table, mode_pictures, mode_tables, width_picture
 from workbench.data import Dataset, Experiment
-from workbench.intervals.coverage import Coverage, cover
+from workbench.intervals.coverage import Coverage, cover, pooled
 from workbench.intervals.model import IntervalModel
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import BySchedule, IntervalRegression, OneMode
@@ -96,11 +96,10 @@ def _table(envelopes: Envelopes, seconds: Mapping[str, float]) -> Table:
         cells: list[float] = []
         for horizon in ("one-step", "free-run"):
             own = [line for line in held if line.horizon == horizon]
-            total = sum(line.samples for line in own)
             cells += [
                 min((line.nominal.FIT for line in own), default=float("nan")),
-                sum(line.mean_radius * line.samples for line in own) / total if own else float("nan"),
-                100 * sum(line.coverage * line.samples for line in own) / total if own else float("nan"),
+                pooled(own, lambda line: line.mean_radius),
+                100.0 * pooled(own, lambda line: line.coverage),
             ]
         rows.append((name, *cells, cost[name]))
     said = ("lowest FIT [%]", "mean radius", "inside [%]")

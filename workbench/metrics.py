@@ -10,6 +10,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.errors import InputError
+from workbench.files import nullable
 from workbench.lpv import LPVModel
 from workbench.records import record
 
@@ -95,8 +96,7 @@ class Score:
 
     def to_dict(self) -> dict[str, Any]:
         """One entry of the scores file; a score without a finite value is null there."""
-        content = {key: value for key, value in vars(self).items() if key != "model"}
-        return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in content.items()}
+        return nullable({key: value for key, value in vars(self).items() if key != "model"})
 
 
 def score(

@@ -30,8 +30,8 @@ TIME_NAMES = ("t", "time", "Time", "Zeit")
 MAT_READER = Path(__file__).with_name("loadmat.py")
 
 #: Fewer samples than this are no record.
-MANY_GAPS = 10  # above which a record is not cut at each of them
 SHORTEST = 3
+MANY_GAPS = 10  # above which a record is not cut at each of them
 
 #: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
 ROLES: tuple[tuple[str, Role], ...] = (

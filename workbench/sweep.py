@@ -210,16 +210,8 @@ def load_sweep(path: str | Path) -> Sweep:
         or len({*seeds}) < len(seeds)
     ):
         raise top.refused("seeds", kind(seeds), "expected whole numbers from 0 on, each once: seeds = [1, 2, 3]")
-    return Sweep(
-        run,
-        factors,
-        design,
-        count,
-        top.whole("seed", 0),
-        tuple(seeds),
-        top.texts("outputs", ()),
-        top.table("fixed", None).content,
-    )
+    fixed = top.table("fixed", None).content
+    return Sweep(run, factors, design, count, top.whole("seed", 0), tuple(seeds), top.texts("outputs", ()), fixed)
 
 
 def _factor(own: Table, name: str, design: str) -> Factor:
@@ -568,6 +560,11 @@ class Rows:
     units: Mapping[str, str]
     parameters: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
+
+    def column(self, name: str) -> np.ndarray:
+        """The numbers of a column, NaN where there are none."""
+        i = self.names.index(name)
+        return np.array([v if isinstance(v := row[i], int | float) else np.nan for row in self.rows], dtype=float)
 
 
 def read_rows(database: str | Path) -> Rows:

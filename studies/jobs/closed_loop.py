@@ -213,12 +213,17 @@ def from_file(sweep: Sweep, file: Path, options: Namespace) -> ClosedLoop:
             "controller", repr(named), f"a file that design wrote; a law of your own is named with --controller {named}"
         )
     law = Path(named) if options.controller else _beside(file, named)
-    if "run" not in own.content:
-        raise InputError("[fixed.run] is missing", file=file, mend="give its duration and set-points: [fixed.run.setpoints]")
-    table = own.table("run", [key for key in RUN if key != "seed"])  # seeds are the sweep's
     text = "" if code else json.dumps(read_json(law), sort_keys=True)
     names = tuple(p.name for p in sweep.factors)
-    return ClosedLoop(plant, text, manoeuvre(table), names, own.flag("noise", True), _sources(plant, code), own=code)
+    return ClosedLoop(plant, text, run_of(own), names, own.flag("noise", True), _sources(plant, code), own=code)
+
+
+def run_of(fixed: Table) -> Manoeuvre:
+    """The table `run` of [fixed]; seeds are the sweep's."""
+    if "run" not in fixed.content:
+        mend = "give its duration and set-points: [fixed.run.setpoints]"
+        raise InputError("[fixed.run] is missing", file=fixed.file, mend=mend)
+    return manoeuvre(fixed.table("run", [key for key in RUN if key != "seed"]))
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -4,11 +4,11 @@ What is hidden comes from the catalogue itself: the study hidden-effects hides p
 """
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from studies.jobs.recorded import RECORDING, Recorded, Setting, check_settings, recorded, settings
+from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
 from workbench.diagnose.diagnosis import diagnose
 from workbench.errors import InputError, check_known
 from workbench.records import record
@@ -21,7 +21,7 @@ SAID = ("found", "named", "wrong", "inside")
 
 
 @record
-class Detection:
+class Detection(OneByOne):
     """Records of a machine with effect@place:parameter = size in them, diagnosed against the machine without it.
 
     A run gives, 1 or 0: found (named, or one of a tie), named (alone), wrong (a cause is named that is not there, nor tied with
@@ -56,13 +56,7 @@ class Detection:
     def outputs(self) -> Mapping[str, str]:
         return dict.fromkeys(SAID, "") | {"estimate": self.unit, "limit": self.unit}
 
-    def on_threads(self, count: int) -> None:
-        """A diagnosis holds Python's lock for much of its time."""
-
-    def __call__(self, points: Sequence[Point]) -> list[Mapping[str, float] | Exception]:
-        return [self._one(point) for point in points]
-
-    def _one(self, point: Point) -> Mapping[str, float]:
+    def one(self, point: Point) -> Mapping[str, float]:
         at = settings(KNOWN, self.fixed, point)
         key, _, parameter = self.effect.rpartition(":")
         hidden = {key: {parameter: at["size"]}} if at["size"] else {}
@@ -82,8 +76,6 @@ class Detection:
 def from_file(sweep: Sweep, file: Path, options: Namespace) -> Detection:
     """[fixed] plant, experiments, effect (id@place:parameter), and any of `KNOWN`."""
     own = Table(file, "fixed", dict(sweep.fixed), FIXED)
-    if options.controller:
-        raise InputError("--controller does not belong to a detection", mend="leave it out")
     names = tuple(p.name for p in sweep.factors)
-    logged = recorded(own, options.plant or own.text("plant", None), roles=False)
+    logged = recorded(own, options, roles=False)
     return Detection(logged, own.text("effect", None), check_settings(KNOWN, sweep.factors, own), names)

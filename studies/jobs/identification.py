@@ -1,18 +1,18 @@
 """A model of a machine's records: how well it runs free on records that it never saw, and how wide and true its envelope is."""
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from studies.jobs.recorded import RECORDING, Recorded, Setting, check_settings, recorded, settings
+from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.identify import METHODS
-from workbench.intervals.coverage import cover
+from workbench.intervals.coverage import cover, pooled
 from workbench.intervals.regression import BySchedule, IntervalRegression, OneMode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
@@ -32,7 +32,7 @@ FIXED = ("plant", "inputs", "outputs", "schedule", "experiments", "held_out", "m
 
 
 @record
-class Identification:
+class Identification(OneByOne):
     """Models of `recorded`, judged on the experiments `held_out`, one record of each.
 
     A run gives for every output the mean FIT [%] of free runs, and that of the true machine without noise, which no model
@@ -67,13 +67,7 @@ class Identification:
             found |= {f"{c.name} inside": "%", f"{c.name} width": c.unit} if INTERVAL in self.models else {}
         return found
 
-    def on_threads(self, count: int) -> None:
-        """Identification holds Python's lock."""
-
-    def __call__(self, points: Sequence[Point]) -> list[Mapping[str, float] | Exception]:
-        return [self._one(point) for point in points]
-
-    def _one(self, point: Point) -> Mapping[str, float]:
+    def one(self, point: Point) -> Mapping[str, float]:
         at = settings(KNOWN, self.fixed, point)
         model = check_known("model", str(point.values.get("model", self.models[0])), MODELS, file="sweep")
         estimation = self.recorded.records(point.seed, at)
@@ -95,17 +89,14 @@ class Identification:
         method, found = IntervalRegression(ARX(order), InclusionExact(), modes, 0.0, 0.0), {}
         for y in self.recorded.outputs:
             lines = cover(method.fit(estimation, y), held_out, "held-out", free_run=False)
-            total = sum(line.samples for line in lines)
-            found[f"{y} inside"] = 100.0 * sum(line.coverage * line.samples for line in lines) / total
-            found[f"{y} width"] = sum(line.mean_radius * line.samples for line in lines) / total
+            found[f"{y} inside"] = 100.0 * pooled(lines, lambda line: line.coverage)
+            found[f"{y} width"] = pooled(lines, lambda line: line.mean_radius)
         return found
 
 
 def from_file(sweep: Sweep, file: Path, options: Namespace) -> Identification:
     """[fixed] plant, inputs, outputs, schedule, experiments, held_out, model, and any of `KNOWN`."""
     own = Table(file, "fixed", dict(sweep.fixed), FIXED)
-    if options.controller:
-        raise InputError("--controller does not belong to an identification", mend="leave it out")
     varied = {p.name: p for p in sweep.factors}
     if "model" in varied and "model" in own.content:
         raise own.refused("model", repr(own.content["model"]), "leave it out: it is varied")
@@ -113,5 +104,5 @@ def from_file(sweep: Sweep, file: Path, options: Namespace) -> Identification:
     if not all(isinstance(name, str) for name in models) or not models:
         raise InputError("[parameters.model] has numbers", file=file, mend=f"give texts: some of {', '.join(MODELS)}")
     fixed = check_settings(KNOWN, [p for p in sweep.factors if p.name != "model"], own)
-    logged = recorded(own, options.plant or own.text("plant", None))
+    logged = recorded(own, options)
     return Identification(logged, own.texts("held_out"), fixed, tuple(map(str, models)), tuple(varied))

@@ -1,7 +1,7 @@
 """A scheduled PID from a machine's records: identified, designed, and run on the machine."""
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from controllers.pid_design import Structure, design_pid
 from controllers.tuning import DEFAULT, Bounds
-from studies.jobs.closed_loop import score_units, scores, single_run
-from studies.jobs.recorded import RECORDING, Recorded, Setting, check_settings, recorded, settings
+from studies.jobs.closed_loop import run_of, score_units, scores, single_run
+from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
 from workbench.errors import InputError, check_known
 from workbench.identify.lti import LTI
 from workbench.identify.ssm import SSM
 from workbench.records import record
-from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
+from workbench.robustness.limits import Manoeuvre
 from workbench.sweep import Point, Sweep
 from workbench.toml import Table
 
@@ -31,7 +31,7 @@ MARGINS = {"bandwidth": "rad/s", "sensitivity": "", "delay margin": "s", "integr
 
 
 @record
-class DesignedLoop:
+class DesignedLoop(OneByOne):
     """For every run records are made, a model, a PID whose frozen loops keep their bounds, and a run of the machine under it.
 
     A run gives, the worst over the schedule each: bandwidth (|S| first reaches 1 / sqrt(2)), largest |S|, delay margin and
@@ -64,13 +64,7 @@ class DesignedLoop:
     def outputs(self) -> Mapping[str, str]:
         return MARGINS | score_units(self.recorded.machine, self.recorded.outputs, self.recorded.inputs)
 
-    def on_threads(self, count: int) -> None:
-        """A design holds Python's lock."""
-
-    def __call__(self, points: Sequence[Point]) -> list[Mapping[str, float] | Exception]:
-        return [self._one(point) for point in points]
-
-    def _one(self, point: Point) -> Mapping[str, float] | Exception:
+    def one(self, point: Point) -> Mapping[str, float] | Exception:
         at = settings(KNOWN, self.fixed, point)
         method = SSM if self.recorded.schedule else LTI
         # held commands cannot act on the output of their own sample
@@ -101,16 +95,11 @@ class DesignedLoop:
 def from_file(sweep: Sweep, file: Path, options: Namespace) -> DesignedLoop:
     """[fixed] plant, inputs, outputs, schedule, experiments, run, tables low, high and rate, and any of `KNOWN`."""
     own = Table(file, "fixed", dict(sweep.fixed), FIXED)
-    if options.controller:
-        raise InputError("--controller does not belong to a design", mend='leave it out, or run = "closed-loop"')
     names = tuple(p.name for p in sweep.factors)
     fixed = check_settings(KNOWN, sweep.factors, own)
-    logged = recorded(own, options.plant or own.text("plant", None))
+    logged = recorded(own, options)
     limits = {}
     for key in LIMITS:
         table = own.table(key, logged.inputs)
         limits[key] = {name: value for name in table.content if (value := table.number(name)) is not None}
-    if "run" not in own.content:
-        raise InputError("[fixed.run] is missing", file=file, mend="give its duration and set-points: [fixed.run.setpoints]")
-    run = manoeuvre(own.table("run", [key for key in RUN if key != "seed"]))  # seeds are the sweep's
-    return DesignedLoop(logged, run, limits, fixed, names)
+    return DesignedLoop(logged, run_of(own), limits, fixed, names)

@@ -1,7 +1,9 @@
 """Records of a machine of the workbench, for jobs that begin with some; and the numbers that such a job can vary."""
 
 import math
-from collections.abc import Iterable, Mapping
+from abc import ABC, abstractmethod
+from argparse import Namespace
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -115,8 +117,26 @@ class Recorded:
         return replace(e, name=f"{name} {again + 1}") if again else e
 
 
-def recorded(own: Table, plant: str, *, roles: bool = True) -> Recorded:
-    """Plant, experiments and, with `roles`, inputs, outputs and schedule, as [fixed] of a sweep names them."""
+class OneByOne(ABC):
+    """A job whose runs are made one after the other, by `one`: they hold Python's lock, so that threads would not help."""
+
+    @abstractmethod
+    def one(self, point: Point) -> Mapping[str, float] | Exception:
+        """The numbers of a run, or why it has none."""
+
+    def __call__(self, points: Sequence[Point]) -> list[Mapping[str, float] | Exception]:
+        return [self.one(point) for point in points]
+
+    def on_threads(self, count: int) -> None:
+        """Threads of one process gain nothing."""
+        return None
+
+
+def recorded(own: Table, options: Namespace, *, roles: bool = True) -> Recorded:
+    """Plant, experiments and, with `roles`, inputs, outputs and schedule, as [fixed] names them; --plant goes first."""
+    if options.controller:
+        raise InputError("--controller belongs to closed loops", mend='leave it out, or run = "closed-loop"')
+    plant = options.plant or own.text("plant", None)
     if not roles:
         return Recorded(plant, own.texts("experiments"))
     schedule = own.text("schedule", "")

@@ -262,7 +262,7 @@ def test_a_controller_on_the_command_line_belongs_to_closed_loops_alone(tmp_path
     for name, text in ASKED.items():
         (tmp_path / "s.toml").write_text(text)
         assert main(["sweep", str(tmp_path / "s.toml"), "--out", str(tmp_path / name), "--controller", "pid.json"]) == 2
-        assert "--controller does not belong" in capsys.readouterr().err
+        assert "--controller belongs to closed loops" in capsys.readouterr().err
 
 
 def test_experiments_that_are_not_there_are_refused():

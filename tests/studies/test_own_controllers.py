@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -190,6 +191,23 @@ def test_two_files_of_ones_own_have_helpers_of_one_name_each_beside_itself(laws,
     named = json.dumps(json.loads((tmp_path / "o" / "simulate.json").read_text())["provenance"])
     assert named.count("params.py") == 2  # both are part of what was run
     assert choose_controller(law).files == (law.rpartition(":")[0], str(tmp_path / "law" / "params.py"))
+
+
+def test_helpers_are_what_lies_beside_a_file_not_what_is_installed_below_it(tmp_path, monkeypatch):
+    """A law with a package beside it and a virtual environment in the same folder: that one's modules stay as they are."""
+    for name, text in (("own/__init__", ""), ("own/tuned", "KP = 8.0\n"), ("venv/site-packages/installed_thing", "KI = 0.24\n")):
+        path = tmp_path / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path / "venv" / "site-packages"))
+    (tmp_path / "law.py").write_text(f"import installed_thing\nimport own.tuned\n{LAWS}")
+    try:
+        files = choose_controller(f"{tmp_path / 'law.py'}:STEPS").files
+        assert files == tuple(str(tmp_path / name) for name in ("law.py", "own/__init__.py", "own/tuned.py"))
+        assert "installed_thing" in sys.modules
+        assert not {"own", "own.tuned"} & {*sys.modules}
+    finally:
+        sys.modules.pop("installed_thing", None)
 
 
 def test_a_sweep_does_not_go_on_where_a_helper_of_the_law_has_changed(tmp_path, capsys):

@@ -2,13 +2,14 @@
 nominal model in their middle is.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from workbench.data import Dataset, Experiment, bad_stamps
 from workbench.errors import InputError
+from workbench.files import nullable
 from workbench.intervals.model import Envelope, IntervalModel, Simulated, Simulation
 from workbench.metrics import Horizon, Score, Split, fit, rm, rmse
 from workbench.records import record
@@ -52,8 +53,13 @@ class Coverage:
 
     def to_dict(self) -> dict[str, Any]:
         """One entry of the scores file; what is not finite is null there."""
-        content = {key: value for key, value in vars(self).items() if key not in ("model", "nominal")}
-        return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in content.items()}
+        return nullable({key: value for key, value in vars(self).items() if key not in ("model", "nominal")})
+
+
+def pooled(lines: Sequence[Coverage], measure: Callable[[Coverage], float]) -> float:
+    """Mean of a measure over lines, each weighted with its samples; NaN of none."""
+    total = sum(line.samples for line in lines)
+    return sum(measure(line) * line.samples for line in lines) / total if total else float("nan")
 
 
 SAYS_NOTHING = 0.5  # mean radius of a free run in ranges of the output

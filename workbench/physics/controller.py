@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.physics.plant import symbolic_numpy
+from workbench.physics.symbolic import symbolic_numpy
 from workbench.records import field, record
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from workbench.errors import InputError, check_known
 from workbench.physics.effects import EFFECTS
 from workbench.physics.effects.effect import PER_TURN, Domain, Effect, GridUnit, Named, Port
+from workbench.physics.symbolic import symbolic_numpy
 
 TRIED = np.array([-30.0, -1.0, -0.02, 0.0, 0.02, 1.0, 30.0])
 OF_FAMILY = {Domain.COMMAND: "actuator", Domain.LEVEL: "sensor"}  # domains that are drawn over what only one family has
@@ -72,8 +73,6 @@ def _misfits(effect: Effect, port: Port) -> Iterator[tuple[str, str]]:
 
 def _check_law(effect: Effect, port: Port, place: str) -> None:
     """Call the law with sizes of 0."""
-    from workbench.physics.plant import symbolic_numpy
-
     e = Named({p.name: p.default for p in effect.parameters})
     try:
         effect.sentence.format(place=port.place)

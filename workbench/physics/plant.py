@@ -7,9 +7,7 @@ called with numbers it runs in numpy, called with CasADi symbols it gives Jacobi
 compiled stepper. `x`, `u`, `p` hold values by name; `at.<place>` offers what the effects at a port contribute.
 """
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -24,6 +22,7 @@ from workbench.physics.effects.actuator import Actuator, Driven
 from workbench.physics.effects.effect import FOREVER, Effect, EffectParameter, Named
 from workbench.physics.effects.sensor import Sensor
 from workbench.physics.own_effects import check_own
+from workbench.physics.symbolic import column, entries, symbolic_numpy
 from workbench.readers import UNITS
 from workbench.records import field, record
 
@@ -645,28 +644,3 @@ class _Opened:
             return tuple(values) if isinstance(result, tuple) else values[0]
 
         return replace(effect, law=law)
-
-
-_TRACING = threading.RLock()
-
-
-@contextmanager
-def symbolic_numpy():
-    """numpy ufuncs accept CasADi symbols inside, whatever the global setting of CasADi is; one thread at a time."""
-    with _TRACING:
-        before = ca.GlobalOptions.getNumpyMode()
-        ca.GlobalOptions.setNumpyMode(1)
-        try:
-            yield
-        finally:
-            ca.GlobalOptions.setNumpyMode(before)
-
-
-def entries(symbol: ca.SX) -> list[ca.SX]:
-    """The scalars of a symbolic column."""
-    return ca.vertsplit(symbol) if symbol.numel() else []
-
-
-def column(values: Sequence) -> ca.SX:
-    """A symbolic column of scalars, numbers among them."""
-    return ca.vertcat(*(ca.SX(value) for value in values)) if values else ca.SX(0, 1)

@@ -19,7 +19,8 @@ from workbench.errors import InputError
 from workbench.physics.controller import Controller, Playback, Stepped
 from workbench.physics.effects.effect import FOREVER
 from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, Switched, kernel_source, load_kernel, print_function
-from workbench.physics.plant import Plant, column, entries, shares, symbolic_numpy
+from workbench.physics.plant import Plant, shares
+from workbench.physics.symbolic import column, entries, symbolic_numpy
 from workbench.records import field, record
 
 
