@@ -94,48 +94,8 @@ def response(
     return out
 
 
-# one signature each: arrays are made contiguous before they come here. Most entries of F, G and H are 0: loops skip them, and run
-# along rows
-@njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
-def _times(F, k, A, out):
-    """out = F_k A."""
-    n = len(A)
-    out[:, :] = 0.0
-    for i in range(n):
-        for m in range(n):
-            f = F[k, i, m]
-            if f != 0.0:
-                for j in range(n):
-                    out[i, j] += f * A[m, j]
-
-
-@njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
-def _gathered(K, k, B, out):
-    """out = K_k' B."""
-    n = len(B)
-    out[:, :] = 0.0
-    for i in range(n):
-        for a in range(len(out)):
-            g = K[k, i, a]
-            if g != 0.0:
-                for j in range(n):
-                    out[a, j] += g * B[i, j]
-
-
-@njit("void(f8[:, :, ::1], i8, f8[:, ::1], f8[:, ::1], f8[:, ::1])", cache=True, error_model="numpy")
-def _between(F, k, A, B, P):
-    """P = F_k A F_k', symmetric; B (n, n) is room to work in."""
-    n = len(A)
-    for i in range(n):
-        for j in range(i + 1):
-            A[i, j] = A[j, i] = 0.5 * (A[i, j] + A[j, i])
-    _times(F, k, A, P)
-    for i in range(n):
-        for j in range(n):
-            B[j, i] = P[i, j]  # (F A)' = A F'
-    _times(F, k, B, P)
-
-
+# one signature each: arrays are made contiguous before they come here. Products of dense matrices are BLAS's; most entries of H
+# are 0: loops skip them
 @njit(
     "UniTuple(f8, 2)(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
@@ -144,8 +104,8 @@ def _between(F, k, A, B, P):
 def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
     N, ny, n = H.shape
     nw = G.shape[2]
-    P, A, B = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
-    S, L, HP, KH = np.zeros((ny, ny)), np.zeros((ny, ny)), np.zeros((ny, n)), np.zeros((ny, n))
+    P, A, B, GQ = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, nw))
+    S, L, HP, WHP = np.zeros((ny, ny)), np.zeros((ny, ny)), np.zeros((ny, n)), np.zeros((ny, n))
     d, ahead = np.zeros(n), np.zeros(n)
     cost, log_det = 0.0, 0.0
     for k in range(N):
@@ -167,13 +127,15 @@ def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
                 if i == j:
                     total = total + r[i] if present[k, i] else 1.0
                 S[i, j] = total
+        det = 1.0
         for i in range(ny):  # Cholesky
             for j in range(i + 1):
                 total = S[i, j]
                 for m in range(j):
                     total -= L[i, m] * L[j, m]
                 L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
-            log_det += 2.0 * np.log(L[i, i])
+            det *= L[i, i]
+        log_det += 2.0 * np.log(det)
         for j in range(ny):  # W = L^-1
             for i in range(ny):
                 if i < j:
@@ -183,19 +145,8 @@ def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
                 for m in range(j, i):
                     total -= L[i, m] * W[k, m, j]
                 W[k, i, j] = total / L[i, i]
-        KH[:, :] = 0.0  # K' = W' (W HP)
-        for a in range(ny):
-            ahead[:] = 0.0
-            for b in range(a + 1):
-                for i in range(n):
-                    ahead[i] += W[k, a, b] * HP[b, i]
-            for j in range(a + 1):
-                for i in range(n):
-                    KH[j, i] += W[k, a, j] * ahead[i]
-        for j in range(ny):
-            if present[k, j]:
-                for i in range(n):
-                    K[k, i, j] = KH[j, i]
+        np.dot(W[k], HP, WHP)
+        np.dot(WHP.T, W[k], K[k])  # K = (HP)' W' W; columns of what was not measured are 0, for so are rows of HP
         if len(told) > 0:
             for i in range(ny):
                 total = 0.0
@@ -216,29 +167,22 @@ def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
                         d[i] -= old[k, i, j] * told[k, j]
             for i in range(last.shape[1]):
                 last[k, i] = d[n - last.shape[1] + i]
-            for i in range(n):
-                ahead[i] = 0.0
-                for j in range(n):
-                    ahead[i] += F[k, i, j] * d[j]
+            np.dot(F[k], d, ahead)
             d[:] = ahead
+        np.dot(K[k], HP, B)
         for i in range(n):  # A = P - K HP, symmetric
-            for j in range(n):
-                A[i, j] = P[i, j]
-            for a in range(ny):
-                g = K[k, i, a]
-                if g != 0.0:
-                    for j in range(n):
-                        A[i, j] -= g * HP[a, j]
-        _between(F, k, A, B, P)
+            for j in range(i + 1):
+                A[i, j] = A[j, i] = 0.5 * (P[i, j] - B[i, j] + (P[j, i] - B[j, i]))
         for i in range(columns.shape[2]):
             for j in range(n):
                 columns[k, j, i] = A[j, n - columns.shape[2] + i]
-        for m in range(nw):
-            for i in range(n):
-                g = G[k, i, m]
-                if g != 0.0:
-                    for j in range(n):
-                        P[i, j] += g * q[m] * G[k, j, m]
+        np.dot(F[k], A, B)
+        np.dot(B, F[k].T, P)
+        for i in range(n):
+            for m in range(nw):
+                GQ[i, m] = G[k, i, m] * q[m]
+        np.dot(GQ, G[k].T, A)
+        P += A
     return cost, log_det
 
 
@@ -251,45 +195,27 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
     """Slopes of the deviance, from the end back: r- = H' S^-1 e + (I - K H)' F' r, and X its covariance."""
     N, ny, n = H.shape
     nw = G.shape[2]
-    X, B, C = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    X, B, C, XG = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, nw))
     r, back, u, w = np.zeros(n), np.zeros(n), np.zeros(ny), np.zeros(ny)
     KB, SI = np.zeros((ny, n)), np.zeros((ny, ny))
     fading, by_decay = last.shape[1], 0.0
     for k in range(N - 1, -1, -1):
+        np.dot(X, G[k], XG)
         for m in range(nw):
             along, bend = 0.0, 0.0
             for i in range(n):
-                g = G[k, i, m]
-                if g != 0.0:
-                    along += g * r[i]
-                    for j in range(n):
-                        bend += g * X[i, j] * G[k, j, m]
+                along += G[k, i, m] * r[i]
+                bend += G[k, i, m] * XG[i, m]
             by_q[m] += bend - along * along
-        back[:] = 0.0  # F' r, B = F' X F
-        C[:, :] = 0.0
-        for i in range(n):
-            for m in range(n):
-                f = F[k, i, m]
-                if f != 0.0:
-                    back[m] += f * r[i]
-                    for j in range(n):
-                        C[m, j] += f * X[i, j]
-        for i in range(n):
-            for j in range(n):
-                X[j, i] = C[i, j]
-        B[:, :] = 0.0
-        for i in range(n):
-            for m in range(n):
-                f = F[k, i, m]
-                if f != 0.0:
-                    for j in range(n):
-                        B[m, j] += f * X[i, j]
+        np.dot(F[k].T, r, back)
+        np.dot(X, F[k], C)
+        np.dot(F[k].T, C, B)
         for f in range(fading):  # E[r d'] - X F A, of the last states
             i = n - fading + f
             there = last[k, f]
             for j in range(n):
                 there += columns[k, j, f] * back[j]
-                by_decay += 2.0 * C[j, i] * columns[k, j, f]
+                by_decay += 2.0 * C[i, j] * columns[k, j, f]
             by_decay -= 2.0 * r[i] * there
         for a in range(ny):
             w[a] = 0.0
@@ -301,7 +227,7 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
                 u[b] += W[k, a, b] * w[a]
             for i in range(n):
                 u[b] -= K[k, i, b] * back[i]
-        _gathered(K, k, B, KB)
+        np.dot(K[k].T, B, KB)
         for a in range(ny):
             for b in range(ny):
                 SI[a, b] = 0.0
@@ -320,7 +246,7 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
                         back[j] += h * u[b]
                         for i in range(n):
                             B[i, j] -= KB[b, i] * h
-        _gathered(K, k, B, KB)
+        np.dot(K[k].T, B, KB)
         for a in range(ny):
             if present[k, a]:
                 for i in range(n):
@@ -355,17 +281,7 @@ def _respond(F, H, K, push, shift, d, out):
                 if H[k, i, m] != 0.0:
                     for j in range(c):
                         out[k, i, j] -= H[k, i, m] * d[m, j]
-        for i in range(n):
-            for j in range(c):
-                x[i, j] = d[i, j]
-            for m in range(ny):
-                if K[k, i, m] != 0.0:
-                    for j in range(c):
-                        x[i, j] += K[k, i, m] * out[k, m, j]
-        for i in range(n):
-            for j in range(c):
-                d[i, j] = push[k, i, j]
-            for m in range(n):
-                if F[k, i, m] != 0.0:
-                    for j in range(c):
-                        d[i, j] += F[k, i, m] * x[m, j]
+        np.dot(K[k], out[k], x)
+        x += d
+        np.dot(F[k], x, d)
+        d += push[k]

@@ -28,6 +28,7 @@ FEWEST = 3  # integrator steps a sample: a sensor that lags sees the output as a
 UNTOLD = 5  # samples at the start of a record that do not count: what was commanded before them may still be under way
 VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in all records: of a deviance nothing that counts
 LOOK = 600  # samples of a record on which that is looked at
+RAN_AWAY = 1e9  # error of a run that left every range
 STEP = 1e-6  # of a state's scale, for differences of the flow
 
 
@@ -138,10 +139,10 @@ class Predictor:
         """Prediction errors (R, N, ny) of record i for R hypotheses p (R, np), eta (R, ne), start (R, nx); 0 where unmeasured."""
         r = self.records[i]
         run = self._run(r, p, eta, start, self._steered(i, drift=drift))
-        e = r.seen - run.measured
-        ran_away = ~np.isfinite(run.measured) | (np.abs(e) > 1e9)
-        e = np.where(ran_away, 1e9, np.nan_to_num(e))
-        return np.einsum("kij,rkj->rki", self.passes[i].whitening, e) if white else e
+        e = r.seen[:, :, None] - np.moveaxis(run.measured, 0, 2)  # as they lie in memory
+        e[np.isnan(r.seen)] = 0.0
+        e[~(np.abs(e) <= RAN_AWAY)] = RAN_AWAY
+        return np.ascontiguousarray(np.moveaxis(self.passes[i].whitening @ e if white else e, 2, 0))
 
     def at(self, point: Point) -> list[np.ndarray]:
         """Whitened errors (N, ny) of every record at one point."""
@@ -173,7 +174,7 @@ class Predictor:
 
     def corrected(self, i: int, point: Point) -> np.ndarray:
         """Full states (N, n) of record i after each sample's correction: states, angles, effects' own states, sensor memories."""
-        r, gain = self.records[i], self._gain_for_kernel(i)[:, : self._width]
+        r, gain = self.records[i], self._gain_of_all(i)[:, : self._width]
         eta = _smooth(self.plant, point.eta[i])[None]
         run = self._run(r, point.p[None], eta, point.start[i][None], self._steered(i, full=True))
         assert run.full is not None
@@ -181,7 +182,7 @@ class Predictor:
 
     def course(self, i: int) -> Course:
         """States and predictions along record i at the predictor's point."""
-        r, gain, at, nx = self.records[i], self._gain_for_kernel(i), self.point, len(self.plant.states)
+        r, gain, at, nx = self.records[i], self._gain_of_all(i), self.point, len(self.plant.states)
         run = self._run(r, at.p[None], at.eta[i][None], at.start[i][None], self._steered(i, drift=False, full=True))
         assert run.full is not None
         e = np.where(np.isfinite(r.seen), r.seen - run.measured[0], 0.0)
@@ -247,7 +248,7 @@ class Predictor:
         )
         return stepper.run(self.plant, _player(self.plant), lanes, self.substeps, self.threads, steering)
 
-    def _gain_for_kernel(self, i: int) -> np.ndarray:
+    def _gain_of_all(self, i: int) -> np.ndarray:
         """The gain (N, n, ny) with a row for every angle, sensor memory and drift, 0 where the filter does not carry them."""
         full = np.zeros((len(self.records[i]), self._width + len(self.plant.states), len(self.plant.outputs)))
         if self.passes:
@@ -256,12 +257,12 @@ class Predictor:
 
     def _steered(self, i: int, *, drift: bool = True, full: bool = False) -> stepper.Steering:
         """Corrected by record i; without drift the coloured torques are held at 0."""
-        gain, r = self._gain_for_kernel(i), self.records[i]
-        if not drift:
-            gain[:, self._width :] = 0.0
-        return stepper.Steering(
-            observed=r.seen, gain=gain, decay=np.full(len(self.plant.states), self.noise.decay(self.plant.dt)), full=full
-        )
+        decay = np.full(len(self.plant.states), self.noise.decay(self.plant.dt))
+        if not self.passes:
+            return stepper.Steering(decay=decay, full=full)
+        carried = self.carried[self.carried < (np.inf if drift else self._width)].astype(int)
+        gain = self.passes[i].gain[:, : len(carried)]
+        return stepper.Steering(self.records[i].seen, gain, carried, decay=decay, full=full)
 
     @property
     def _inner(self) -> int:

@@ -210,9 +210,9 @@ def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Mode
     if not np.array_equal(z, model.fit.z):
         moved = Model(model.predictor, gauss_newton(model.predictor, model.fit.unknowns, z, sizes, enough=0.2))
         model = min((model, moved), key=lambda m: m.deviance)
-    for _ in range(SETTLINGS):
+    for settling in range(SETTLINGS):
         predictor = model.predictor.regained(model.fit.point)
-        predictor = predictor.with_noise(tuned(predictor))
+        predictor = predictor.with_noise(tuned(predictor, again=settling > 0))
         fit = gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, enough=0.2)
         better = Model(replace(predictor, point=fit.point), fit)
         gained = model.deviance - better.deviance

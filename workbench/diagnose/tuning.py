@@ -24,8 +24,11 @@ REACH, REACHES = np.log(100.0), 9  # how far a variance may move in one go, and 
 ENOUGH, AGAIN = 0.05, 1.0  # of the deviance: a search ends, and is not begun again from where it ended
 
 
-def tuned(predictor: Predictor, *, share: float = 1.0) -> Noise:
-    """The noise levels under which the predictor's own trajectory is most likely; share: of the records that are looked at."""
+def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> Noise:
+    """The noise levels under which the predictor's own trajectory is most likely; share: of the records that are looked at.
+
+    again: the predictor's levels were found so, about a trajectory like this one, and the search begins at them.
+    """
     pieces = [_piece(predictor, i) for i in range(int(np.ceil(share * len(predictor.records))))]
     nw, nd, dt = len(predictor.noise.process), len(predictor.noise.drift), predictor.plant.dt
     expected = _levels(predictor.expected)
@@ -43,8 +46,15 @@ def tuned(predictor: Predictor, *, share: float = 1.0) -> Noise:
         s = expected * np.sqrt(np.maximum(np.exp(z[:-1]) - FLOOR, 0.0))
         return Noise(s[nw + nd :], s[:nw], s[nw : nw + nd], float(np.exp(z[-1])))
 
+    known: dict[bytes, tuple[float, np.ndarray]] = {}  # a search begins where the last one ended
+
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-        z = x * unit
+        if x.tobytes() not in known:
+            known[x.tobytes()] = computed(x * unit)
+        value, slope = known[x.tobytes()]
+        return value, slope.copy()
+
+    def computed(z: np.ndarray) -> tuple[float, np.ndarray]:
         levels, total, slope = noise(z), 0.0, np.zeros(len(z))
         a = levels.decay(dt)
         for line, gain, e in pieces:
@@ -52,24 +62,24 @@ def tuned(predictor: Predictor, *, share: float = 1.0) -> Noise:
             total += found.deviance
             slope += np.concatenate([found.process, found.measurement, [found.decay]])
         if not np.isfinite(total):
-            return 1e300, np.zeros(len(x))
+            return 1e300, np.zeros(len(z))
         off = (z - middle) / width
         slope *= np.append(expected**2 * np.exp(z[:-1]), a * dt / levels.memory)
         return float(total + off @ off), (slope + 2.0 * off / width) * unit
 
     # from small pushes that fade fast nothing leads to larger ones that last
     start = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), np.log(predictor.noise.memory))
-    z = np.clip(np.where(is_push, np.maximum(start, middle), start), *bounds.T)
+    x = np.clip(start if again else np.where(is_push, np.maximum(start, middle), start), *bounds.T) / unit
     for _ in range(REACHES):
         # a step to where nothing is defined would end a line search
-        near = np.clip(bounds, (z - REACH)[:, None], (z + REACH)[:, None])
-        began = cost(z / unit)[0]
+        near = np.clip(bounds / unit[:, None], (x - REACH / unit)[:, None], (x + REACH / unit)[:, None])
+        began = cost(x)[0]
         options = {"ftol": ENOUGH / max(abs(began), 1.0), "maxiter": 60}
-        found = minimize(cost, z / unit, jac=True, method="L-BFGS-B", bounds=near / unit[:, None], options=options)
-        z = found.x * unit
+        found = minimize(cost, x, jac=True, method="L-BFGS-B", bounds=near, options=options)
+        x = found.x
         if began - found.fun < AGAIN:
             break
-    return noise(z)
+    return noise(x * unit)
 
 
 def _levels(noise: Noise) -> np.ndarray:

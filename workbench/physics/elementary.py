@@ -1,4 +1,4 @@
-"""exp, tanh, sin and cos without branches and without library calls, so that a loop over lanes becomes SIMD code.
+"""exp, tanh, sin and cos without branches and without library calls, so that a loop over lanes becomes SIMD code; row copies.
 
 Errors measured in the tests: exp 2 ulp on [-708, 708] (clamped outside), tanh 3e-16 absolute, sin and cos 3e-16 absolute
 for |x| < 1e5 and 1e-11 up to 1e6. Source of the argument reductions: W. J. Cody and W. Waite, Software Manual for the
@@ -12,6 +12,7 @@ import math
 
 from llvmlite import ir
 from numba import njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 SHIFTER = 6755399441055744.0  # 1.5 * 2**52: adding it rounds to an integer that stands in the low bits
@@ -38,6 +39,48 @@ def _float(typingctx, x):
         return builder.bitcast(args[0], ir.DoubleType())
 
     return types.float64(types.int64), code
+
+
+@intrinsic
+def copy_row(typingctx, to, row, source, start, lanes):
+    """to[row * lanes : (row + 1) * lanes] = source[start * lanes : (start + 1) * lanes], arrays of floats taken as flat.
+
+    One move: a loop becomes as many as there are lanes, and a vector that is read right after them waits for all.
+    """
+
+    def code(context, builder, signature, args):
+        to, row, source, start, lanes = zip(args, signature.args, strict=True)
+        target, origin = _row(context, builder, to, row, lanes), _row(context, builder, source, start, lanes)
+        cgutils.raw_memmove(builder, target, origin, args[4], itemsize=8)
+        return context.get_dummy_value()
+
+    return types.void(to, types.int64, source, types.int64, types.int64), code
+
+
+@intrinsic
+def add_row(typingctx, to, row, factor, source, start, lanes):
+    """Adds factor times a row of `source` to a row of `to`; otherwise as `copy_row`."""
+
+    def code(context, builder, signature, args):
+        to, row, (factor, _), source, start, lanes = zip(args, signature.args, strict=True)
+        vector = ir.VectorType(ir.DoubleType(), lanes[0].constant)
+        target, origin = (
+            builder.bitcast(_row(context, builder, *place, lanes), vector.as_pointer()) for place in ((to, row), (source, start))
+        )
+        every = ir.Constant(vector, ir.Undefined)
+        for i in range(vector.count):
+            every = builder.insert_element(every, factor, ir.Constant(ir.IntType(32), i))
+        total = builder.fadd(builder.load(target, align=8), builder.fmul(every, builder.load(origin, align=8)))
+        builder.store(total, target, align=8)
+        return context.get_dummy_value()
+
+    return types.void(to, types.int64, types.float64, source, types.int64, types.int64), code
+
+
+def _row(context, builder, array, at, lanes):
+    """Pointer to a row of an array: each of the three is its value and its type."""
+    data = context.make_array(array[1])(context, builder, array[0]).data
+    return builder.gep(data, [builder.mul(at[0], lanes[0])])
 
 
 @njit(inline="always")

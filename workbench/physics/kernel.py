@@ -162,33 +162,30 @@ def remember(W, on):
     """What the sensors keep after a step; one without an effect keeps the output itself."""
     for i in range({ny}):
         for j in range({deep} if not on[{first_sensor} + i] else 0):
-            for l in range(LANES):
-                W[({mem} + i * {deep} + j) * LANES + l] = W[({after} + i) * LANES + l]
+            elementary.copy_row(W, {mem} + i * {deep} + j, W, {after} + i, LANES)
 {sensors}
 
 
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1])",
+    "i8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
     W, reference, disturbance, noise, step, back, acting, states, measured, commands, begin, end, first, every, dt, on, affected,
-    remembering, observed, gain, restart, push, remembered, decay
+    remembering, observed, gain, corrected, restart, push, remembered, decay
 ):
     """Advance LANES runs through the samples from `begin` to `end`; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
 {once}
     for k in range(begin, end):
         for i in range({nr}):
-            for l in range(LANES):
-                W[({r} + i) * LANES + l] = reference[k, i, l]
+            elementary.copy_row(W, {r} + i, reference, k * {nr} + i, LANES)
         for l in range(LANES):
             W[{t} * LANES + l] = k * dt
         for i in range({ny}):
-            for l in range(LANES):
-                W[({error} + i) * LANES + l] = noise[k, i, l]
+            elementary.copy_row(W, {error} + i, noise, k * {ny} + i, LANES)
 '''
 _READ = """        for l in range(LANES):
 {read}
@@ -205,14 +202,11 @@ _DRIVE = """        for l in range(LANES):
                 commands[k, i, l] = W[({u} + i) * LANES + l]
 """
 _LOG = """        for i in range({nx}):
-            for l in range(LANES):
-                states[k, i, l] = W[({x} + i) * LANES + l]
+            elementary.copy_row(states, k * {nx} + i, W, {x} + i, LANES)
         for i in range({ny}):
-            for l in range(LANES):
-                measured[k, i, l] = W[({y} + i) * LANES + l]
+            elementary.copy_row(measured, k * {ny} + i, W, {y} + i, LANES)
         for i in range({nm} if len(remembered) > 0 else 0):
-            for l in range(LANES):
-                remembered[k, i, l] = W[({mem} + i) * LANES + l]
+            elementary.copy_row(remembered, k * {nm} + i, W, {mem} + i, LANES)
 """
 _CORRECT = """        # the state before the next step: given for every sample anew, or corrected by what was observed
         if len(restart) > 0:
@@ -226,21 +220,18 @@ _CORRECT = """        # the state before the next step: given for every sample a
                         W[({mem} + i) * LANES + l] = restart[k, {nx} + i, l]
         for j in range({ny} if len(gain) > 0 else 0):
             for l in range(LANES):
-                error = observed[k, j] - measured[k, j, l]
-                error = error if error == error else 0.0  # what was not observed corrects nothing
-                for i in range({nx}):
-                    W[({x} + i) * LANES + l] += gain[k, i, j] * error
-                for i in range({nm}):
-                    W[({mem} + i) * LANES + l] += gain[k, {nx} + i, j] * error
-                for i in range(len(decay)):
-                    W[({drift} + i) * LANES + l] += gain[k, {nx} + {nm} + i, j] * error
+                error = observed[k, j] - W[({y} + j) * LANES + l]
+                W[{error} * LANES + l] = error if error == error else 0.0  # what was not observed corrects nothing
+            for i in range(len(corrected)):
+                if gain[k, i, j] != 0.0:
+                    elementary.add_row(W, corrected[i], gain[k, i, j], W, {error}, LANES)
         if len(restart) + len(gain) > 0:
             for l in range(LANES):
 {show}
             for l in range(LANES if remembering else 0):
                 W[{h} * LANES + l] = 0.0  # a step of no length: what a new output tells the sensors at once
-                for i in range({ny}):
-                    W[({after} + i) * LANES + l] = W[({before} + i) * LANES + l]
+            for i in range({ny} if remembering else 0):
+                elementary.copy_row(W, {after} + i, W, {before} + i, LANES)
             if remembering:
                 remember(W, on)
 """
@@ -255,9 +246,9 @@ _SLOPE = """        if affected:
         for i in range({np} if len(push) > 0 else 0):
             for l in range(LANES):
                 W[({slope} + i) * LANES + l] += push[k, i, l]
-        for i in range(len(decay)):
+        if len(decay) > 0:
             for l in range(LANES):
-                W[({slope} + i) * LANES + l] += W[({drift} + i) * LANES + l]
+{drifting}
 """
 _INTEGRATE = (
     """        for s in range(len(step)):
@@ -268,32 +259,27 @@ _INTEGRATE = (
                 W[{h} * LANES + l] = step[s, l]
             # classic Runge-Kutta of order four; `stage` is where the derivative is taken
             for i in range({nx}):
-                for l in range(LANES):
-                    W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l]
-                    W[({sum} + i) * LANES + l] = W[({x} + i) * LANES + l]
+                elementary.copy_row(W, {stage} + i, W, {x} + i, LANES)
+                elementary.copy_row(W, {sum} + i, W, {x} + i, LANES)
             for q in range(4):
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
 """
     + indent(_SLOPE, 8 * " ", lambda line: line.startswith(" "))
-    + """                for i in range({nx}):
-                    for l in range(LANES):
-                        rise = W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
-                        W[({sum} + i) * LANES + l] += share * rise
-                        W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l] + ahead * rise
+    + """                for l in range(LANES):
+                    h = W[{h} * LANES + l]
+{rising}
                 if q == 0 or q == 2:
                     for l in range(LANES):
                         W[{t} * LANES + l] += 0.5 * W[{h} * LANES + l]
             for i in range({nx}):
-                for l in range(LANES):
-                    W[({x} + i) * LANES + l] = W[({sum} + i) * LANES + l]
+                elementary.copy_row(W, {x} + i, W, {sum} + i, LANES)
             if remembering or s == len(step) - 1:
                 for l in range(LANES):
 {measure}
                 remember(W, on)
                 for i in range({ny}):
-                    for l in range(LANES):
-                        W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
+                    elementary.copy_row(W, {before} + i, W, {after} + i, LANES)
 """
 )
 _FADE = """        for i in range(len(decay)):
@@ -314,14 +300,12 @@ _ARRIVE = """        # what acts in a sample is the mean of its hold: a dead tim
             W[{h} * LANES + l] = dt
         remember(W, on)
         for i in range({ny}):
-            for l in range(LANES):
-                W[({before} + i) * LANES + l] = W[({after} + i) * LANES + l]
+            elementary.copy_row(W, {before} + i, W, {after} + i, LANES)
 """
 _JUMP = (
     """        # rates are taken at the sample and hold until the next one
         for i in range({nx}):
-            for l in range(LANES):
-                W[({stage} + i) * LANES + l] = W[({x} + i) * LANES + l]
+            elementary.copy_row(W, {stage} + i, W, {x} + i, LANES)
 """
     + _SLOPE
     + """        for i in range({nx}):
@@ -331,8 +315,11 @@ _JUMP = (
 )
 _CONTINUOUS = "".join([_HEAD, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE, _FADE])
 _DISCRETE = "".join([_HEAD, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
-_INDENT = {"once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "measure": 20}
-_INDENT_DISCRETE = _INDENT | {"rates": 16, "nominal": 16, "measure": 12}
+_INDENT = {
+    "once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "drifting": 24, "rising": 20,
+    "measure": 20,
+}  # fmt: skip
+_INDENT_DISCRETE = _INDENT | {"rates": 16, "nominal": 16, "drifting": 16, "measure": 12}
 
 
 @record
@@ -359,6 +346,18 @@ def kernel_source(
     indent, template = (_INDENT_DISCRETE, _DISCRETE) if discrete else (_INDENT, _CONTINUOUS)
     once = [line for code in (*codes.values(), *(part.code for part in (*parts, *sensors))) for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
+    # written out row by row: LLVM turns a loop over lanes into SIMD code where it sees that no two rows overlap
+    slope, drift, total, stage, x = (rows[name] for name in ("slope", "drift", "sum", "stage", "x"))
+    blocks["drifting"] = [f"{_cell(slope + i)} += {_cell(drift + i)}" for i in range(sizes["np"])]
+    blocks["rising"] = [
+        line
+        for i in range(sizes["nx"])
+        for line in (
+            f"r{i} = h * {_cell(slope + i)}",
+            f"{_cell(total + i)} += share * r{i}",
+            f"{_cell(stage + i)} = {_cell(x + i)} + ahead * r{i}",
+        )
+    ]
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
     tables: list[str] = []
     text["parts"] = _switched(parts, 0, rows, tables)
@@ -394,18 +393,14 @@ def _switched(parts: Sequence[Switched], first: int, rows: Rows, tables: list[st
             f"    for m in range({len(members)}):",
             f"        if on[{table}[m, 0]]:",
             f"            for i in range({width}):",
-            "                for l in range(LANES):",
-            f"                    W[({base} + i) * LANES + l] = W[{table}[m, i + 1] * LANES + l]",
+            f"                elementary.copy_row(W, {base} + i, W, {table}[m, i + 1], LANES)",
             "            for l in range(LANES):",
         ]
         body = re.sub(r"<(\d+)>", lambda cell, base=base: _cell(base + int(cell[1])), pattern).splitlines()
         lines += [f"                {line}" for line in body]
         written = sorted({int(cell[1]) for line in pattern.splitlines() if (cell := re.match(r"<(\d+)> = ", line))})
         for i in written:
-            lines += [
-                "            for l in range(LANES):",
-                f"                W[{table}[m, {i + 1}] * LANES + l] = {_cell(base + i)}",
-            ]
+            lines.append(f"            elementary.copy_row(W, {table}[m, {i + 1}], W, {base + i}, LANES)")
     return "\n".join(lines or ["    pass"])
 
 

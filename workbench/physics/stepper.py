@@ -48,16 +48,18 @@ class Steering:
     """What besides its equation may move a run, by sample, for the full state of n = nx states, angles, effects' own states and
     sensor memories.
 
-    observed (N, ny) and gain (N, n, ny): after every sample the full state is corrected by gain (observed - predicted), for all
-    runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every sample starts from the state given here instead of
-    the one arrived at; where it is NaN the run goes on. push (N, nx, R): is added to the states' rates of change, constant over
-    each sample. decay (nx): rates of change that the filter estimates beside the full state, constant over a sample and faded
-    by this factor from one to the next; `gain` then has a row for each of them at its end. None is none of it.
+    observed (N, ny), gain (N, m, ny) and corrected (m): after every sample these entries of the full state, all by default, are
+    corrected by gain (observed - predicted), for all runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every
+    sample starts from the state given here instead of the one arrived at; where it is NaN the run goes on. push (N, nx, R): is
+    added to the states' rates of change, constant over each sample. decay (nx): rates of change that the filter estimates
+    beside the full state, constant over a sample and faded by this factor from one to the next; they count as further entries
+    of it, at its end. None is none of it.
     full: return the full states too.
     """
 
     observed: np.ndarray | None = None
     gain: np.ndarray | None = None
+    corrected: np.ndarray | None = None
     restart: np.ndarray | None = None
     push: np.ndarray | None = None
     decay: np.ndarray | None = None
@@ -194,30 +196,32 @@ def run(
     R, N, _ = lanes.reference.shape
     width = SCALAR if R == 1 else SIMD
     kernel, rows = _kernel(plant, controller, width)
-    out = Trajectories(
-        np.empty((R, N, len(plant.states))),
-        np.empty((R, N, len(plant.outputs))),
-        np.empty((R, N, len(plant.inputs))),
-        np.empty((R, N, rows.size["x"] + rows.size["mem"])) if steering and steering.full else None,
-    )
+    full = rows.size["x"] + rows.size["mem"] if steering and steering.full else 0
+    sizes = len(plant.states), len(plant.outputs), len(plant.inputs), full
 
-    def block(first: int) -> None:
+    def block(first: int) -> list[np.ndarray]:
         pick = np.minimum(np.arange(first, first + width), R - 1)  # the last block repeats the last run
         own = _Block(plant, kernel, rows, lanes, pick, substeps, every, steering)
         own.advance(0, N)
-        keep = min(width, R - first)
-        for target, source in zip((out.states, out.measured, out.commands, out.full), own.results(), strict=True):
-            if target is not None:
-                target[first : first + keep] = np.moveaxis(source[:, : target.shape[2], :keep], 2, 0)
+        return [np.moveaxis(source[:, :n, : R - first], 2, 0) for source, n in zip(own.results(), sizes, strict=True)]
 
     starts = range(0, R, width)
-    if threads > 1 and len(starts) > 1:
+    if len(starts) == 1:
+        states, measured, commands, whole = block(0)
+        return Trajectories(states, measured, commands, whole if full else None)
+    out = [np.empty((R, N, n)) for n in sizes]
+
+    def kept(first: int) -> None:
+        for target, source in zip(out, block(first), strict=True):
+            target[first : first + width] = source
+
+    if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(block, starts))
+            list(pool.map(kept, starts))
     else:
         for first in starts:
-            block(first)
-    return out
+            kept(first)
+    return Trajectories(out[0], out[1], out[2], out[3] if full else None)
 
 
 def _every(plant: Plant, controller: Controller | Stepped) -> int:
@@ -271,20 +275,19 @@ class _Block:
         acting[:first] = lanes.hold[pick].T
         states = np.empty((N, rows.size["x"], L))
         measured, commands = np.empty((N, len(z), L)), np.empty((N, len(plant.inputs), L))
-        reference, disturbance, noise = (
-            np.ascontiguousarray(source[pick].transpose(1, 2, 0)) for source in (lanes.reference, lanes.disturbance, lanes.noise)
-        )
-        live = [(q.effect, q.place) for i, q in enumerate(plant.slots) if not q.parameter.shape and eta[i].any()]
+        reference, disturbance, noise = (_by_lane(source, pick) for source in (lanes.reference, lanes.disturbance, lanes.noise))
+        felt = np.asarray(eta.any(axis=1)).tolist()
+        live = [(q.effect, q.place) for q, on in zip(plant.slots, felt, strict=True) if on and not q.parameter.shape]
         dragging = {place for effect, place in live if effect.family == "sensor" and effect.memories}
         remembering = [name in dragging for name in plant.output_names]
-        parts = [bool(np.any(eta[list(part.sizes)])) for part in plant.parted.parts]
+        parts = [any(felt[i] for i in part.sizes) for part in plant.parted.parts]
         affected = any(effect.family not in ("sensor", "actuator") for effect, _ in live)
         by_lane, shared, steer = np.empty((0, 0, 0)), np.empty((0, 0)), steering or Steering()
-        restart, push = (
-            by_lane if given is None else np.ascontiguousarray(given[:, :, pick]) for given in (steer.restart, steer.push)
-        )
+        restart, push = (by_lane if given is None else np.take(given, pick, axis=2) for given in (steer.restart, steer.push))
         observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
         gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
+        places = np.concatenate([np.arange(rows[name], rows[name] + rows.size[name]) for name in ("x", "mem", "drift")])
+        corrected = places[: gain.shape[1]] if steer.corrected is None else places[steer.corrected]
         decay = np.empty(0) if steer.decay is None else np.ascontiguousarray(steer.decay)
         remembered = np.empty((N if steer.full else 0, len(plant.memories), L))
         self.kernel, self.full = kernel, steer.full
@@ -293,7 +296,7 @@ class _Block:
         self._arrays = W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands
         on = np.array([*parts, *remembering])
         self._rest = (
-            first, every, plant.dt, on, affected, any(remembering), observed, gain, restart, push, remembered, decay
+            first, every, plant.dt, on, affected, any(remembering), observed, gain, corrected, restart, push, remembered, decay
         )  # fmt: skip
 
     def advance(self, begin: int, end: int) -> None:
@@ -301,9 +304,16 @@ class _Block:
         self.kernel.run(*self._arrays, begin, end, *self._rest)
 
     def results(self) -> tuple[np.ndarray, ...]:
-        """States, measured, commands, and full states if steered so, each (N, channels, L)."""
-        full = np.concatenate([self.states, self.remembered], axis=1) if self.full else self.remembered
+        """States, measured, commands, and full states where steered so, each (N, channels, L)."""
+        full = np.concatenate([self.states, self.remembered], axis=1) if self.full else self.states
         return self.states, self.measured, self.commands, full
+
+
+def _by_lane(source: np.ndarray, pick: np.ndarray) -> np.ndarray:
+    """Runs `pick` of source (R, N, n) as (N, n, L); quicker where all runs share the same numbers."""
+    if source.strides[0] == 0:
+        return np.repeat(source[0][:, :, None], len(pick), axis=2)
+    return np.ascontiguousarray(source[pick].transpose(1, 2, 0))
 
 
 def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int, memory: Any) -> tuple[Trajectories, list]:
