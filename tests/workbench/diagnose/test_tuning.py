@@ -74,6 +74,16 @@ def test_a_push_that_lasts_is_told_from_a_white_one(level, memory):
     assert deviance_at(made, noise()) > deviance_at(made, levels) + 100.0  # a white push does not explain it
 
 
+def test_begun_again_from_levels_that_were_found_it_ends_where_it_ended():
+    slow = np.cumsum(np.random.default_rng(3).standard_normal(1500)) * 0.3
+    made = axis_predictor(axis_records(50, samples=1500, unlogged=slow, records=1))
+    found = tuned(made)
+    nearly = replace(found, process=0.8 * found.process, drift=1.3 * found.drift)
+    again = tuned(made.with_noise(nearly), again=True)
+    assert deviance_at(made, again) == pytest.approx(deviance_at(made, found), abs=1.0)
+    assert deviance_at(made, nearly) > deviance_at(made, found) + 1.0
+
+
 def test_a_level_that_the_records_do_not_tell_stays_as_expected():
     """A push a thousand times smaller than what the readings could show."""
     quiet = replace(AXIS, disturbance={})

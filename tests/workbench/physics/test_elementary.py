@@ -42,3 +42,19 @@ def test_tanh_is_odd_and_sine_of_zero_is_zero():
     x = np.linspace(0.01, 30, 1001)
     assert np.array_equal(on_array(elementary.tanh)(-x), -on_array(elementary.tanh)(x))
     assert on_array(elementary.sin)(np.zeros(1))[0] == 0.0
+
+
+@pytest.mark.parametrize("lanes", [1, 16])
+def test_rows_are_copied_and_added_where_they_shall_be_and_nowhere_else(lanes):
+    @njit
+    def moved(W, other):
+        elementary.copy_row(W, 3, other, 2, lanes)
+        elementary.copy_row(W, 0, W, 4, lanes)
+        elementary.add_row(W, 1, -0.1, W, 4, lanes)
+
+    random = np.random.default_rng(0)
+    W, other = random.standard_normal((5, lanes)), random.standard_normal((2, 2, lanes))
+    expected = W.copy()
+    expected[3], expected[0], expected[1] = other[1, 0], W[4], W[1] + -0.1 * W[4]
+    moved(W.ravel(), other)
+    np.testing.assert_array_equal(W, expected)

@@ -53,6 +53,28 @@ def test_a_corrected_run_of_a_linear_plant_is_the_innovations_form():
     assert done.measured[0, :, 0] == pytest.approx(np.array(expected)[:, 0], rel=1e-9, abs=1e-12)
 
 
+def test_entries_that_are_named_are_corrected_as_by_a_gain_of_0_for_all_others():
+    """Also drifts and memories of sensors, which stand elsewhere in the kernel, in whatever order they are named."""
+    random, plant = np.random.default_rng(1), WEB_WINDING
+    nx, na, nm = len(plant.states), len(plant.turning), len(plant.memories)
+    n = nx + na + len(plant.inner) + nm
+    (start, u0), decay = plant.equilibrium(), np.full(nx, 0.9)
+    u = u0 + 0.05 * random.standard_normal((N, 2))
+    named = np.array([n + 1, 2, n - nm + 4, 0, nx])
+    gain = 1e-3 * random.standard_normal((N, len(named), len(plant.outputs)))
+    whole = np.zeros((N, n + nx, len(plant.outputs)))
+    whole[:, named] = gain
+    y = random.standard_normal((N, len(plant.outputs)))
+    lag = {f"sensor-lag@{plant.output_names[1]}": {"time": 0.05}}
+    for R in (1, 3):
+        few, every = (
+            run(plant, u, start, stepper.Steering(y, *own, decay=decay, full=True), effects=lag, R=R)
+            for own in ((gain, named), (whole, None))
+        )
+        np.testing.assert_array_equal(few.full, every.full)
+    assert np.abs(few.full - run(plant, u, start, stepper.Steering(full=True), effects=lag).full).max() > 1e-4
+
+
 def test_a_push_adds_to_the_rate_of_its_state_alone():
     _, _, P = axis_matrices(POSITIONING_AXIS.dt)
     u = np.zeros((2, 1))
