@@ -221,11 +221,16 @@ def _inverse(A: np.ndarray) -> np.ndarray:
 
 
 def jacobian(
-    predictor: Predictor, unknowns: Unknowns, z: np.ndarray, sizes: np.ndarray, known: Sequence[np.ndarray] = ()
+    predictor: Predictor,
+    unknowns: Unknowns,
+    z: np.ndarray,
+    sizes: np.ndarray,
+    known: Sequence[np.ndarray] = (),
+    at: Sequence[np.ndarray] = (),
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """(errors (N, ny), J (N ny, columns)) of every record at z: one batch of lanes a record, starts by linearization.
 
-    known: a Jacobian whose columns of parameters are taken over.
+    known: a Jacobian whose columns of parameters are taken over. at: the errors at z, where they are known.
     """
     steps, errors, J = unknowns.steps(sizes), [], []
     n, nx, k = unknowns.split
@@ -233,7 +238,8 @@ def jacobian(
     for i in range(unknowns.records):
         own = unknowns.columns(i)
         moved = own[n + nx :] if known else np.delete(own, np.arange(n, n + nx))
-        moves, signed = [z], []
+        stays = not at or not len(moved)  # a run at z itself
+        moves, signed = [z] if stays else [], []
         for j in moved:
             step = steps[j]
             if j >= low and not np.array_equal(
@@ -246,8 +252,9 @@ def jacobian(
         e = predictor.errors(
             i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
         )
-        errors.append(e[0])
-        columns = ((e[1:] - e[:1]).reshape(len(moved), e[0].size) / np.array(signed)[:, None]).T
+        here, there = (e[0], e[1:]) if stays else (at[i], e)
+        errors.append(here)
+        columns = ((there - here).reshape(len(moved), here.size) / np.array(signed)[:, None]).T
         parameters = known[i][:, :n] if known else columns[:, :n]
         starts = predictor.by_start[i].reshape(-1, nx) * unknowns.scale[i]
         J.append(np.concatenate([parameters, starts, columns[:, columns.shape[1] - k :]], axis=1))
@@ -274,7 +281,7 @@ def gauss_newton(
     for _ in range(rounds):
         if np.any(np.abs(z - made_at)[:n] > NEAR) or not unknowns.terms:
             known = ()
-        e, J = jacobian(predictor, unknowns, z, sizes, known)
+        e, J = jacobian(predictor, unknowns, z, sizes, known, fit.errors if fit else ())
         if not known:
             known, made_at = J, z
         fit = Fit(unknowns, z, e, J)

@@ -321,18 +321,13 @@ class Predictor:
         """H (N, ny, n): what a change of the carried states does to the readings of the sensors."""
         plant, nx, first = self.plant, len(self.plant.states), self._memories
 
-        def reading(x: np.ndarray) -> np.ndarray:
-            z = [np.broadcast_to(v, len(x)) for v in plant.output(list(x[:, :nx].T), self.point.p, list(r.u.T))]
-            m = plant.remember(list(x[:, first:].T), z, z, 0.0, eta)
-            return np.column_stack([np.broadcast_to(v, len(x)) for v in plant.read(m, [0.0] * len(z), eta)])
-
-        base = reading(full)
-        H = np.empty((len(full), base.shape[1], len(active)))
+        x = np.repeat(full.T[:, None], 1 + len(active), axis=1)  # (n, 1 + m, N), the first as it is
         for c, j in enumerate(active):
-            moved = full.copy()
-            moved[:, j] += step[j]
-            H[:, :, c] = (reading(moved) - base) / step[j]
-        return H
+            x[j, 1 + c] += step[j]
+        z = [np.broadcast_to(v, x.shape[1:]) for v in plant.output(list(x[:nx]), self.point.p, list(r.u.T))]
+        m = plant.remember(list(x[first:]), z, z, 0.0, eta)
+        y = np.array([np.broadcast_to(v, x.shape[1:]) for v in plant.read(m, [0.0] * len(z), eta)])
+        return ((y[:, 1:] - y[:, :1]) / step[active, None]).transpose(2, 0, 1)
 
 
 def _with_drift(line: Linearization, nd: int, decay: float) -> Linearization:

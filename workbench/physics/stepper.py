@@ -23,6 +23,8 @@ from workbench.physics.plant import Plant, shares
 from workbench.physics.symbolic import column, entries, symbolic_numpy
 from workbench.records import field, record
 
+FEW = 2  # runs that take less time in the scalar kernel than in a block of the other
+
 
 @record
 class Lanes:
@@ -190,37 +192,37 @@ def run(
     """Step every lane through all samples with classic Runge-Kutta, `substeps` equal steps a sample; a discrete plant jumps.
 
     One run goes through the scalar kernel, more through the SIMD kernel in blocks of 16, `threads` blocks at a time. Both
-    give the same numbers to the last bit.
+    give the same numbers to the last bit. Of steered runs, for which both are there, a few left over go one by one.
     """
     every = _every(plant, controller)
     R, N, _ = lanes.reference.shape
-    width = SCALAR if R == 1 else SIMD
-    kernel, rows = _kernel(plant, controller, width)
+    over = R % SIMD if R == 1 or (steering and R % SIMD <= FEW) else 0
+    blocks = [*((first, SIMD) for first in range(0, R - over, SIMD)), *((first, SCALAR) for first in range(R - over, R))]
+    rows = _kernel(plant, controller, blocks[0][1])[1]
     full = rows.size["x"] + rows.size["mem"] if steering and steering.full else 0
     sizes = len(plant.states), len(plant.outputs), len(plant.inputs), full
 
-    def block(first: int) -> list[np.ndarray]:
+    def block(first: int, width: int) -> list[np.ndarray]:
         pick = np.minimum(np.arange(first, first + width), R - 1)  # the last block repeats the last run
-        own = _Block(plant, kernel, rows, lanes, pick, substeps, every, steering)
+        own = _Block(plant, *_kernel(plant, controller, width), lanes, pick, substeps, every, steering)
         own.advance(0, N)
         return [np.moveaxis(source[:, :n, : R - first], 2, 0) for source, n in zip(own.results(), sizes, strict=True)]
 
-    starts = range(0, R, width)
-    if len(starts) == 1:
-        states, measured, commands, whole = block(0)
+    if len(blocks) == 1:
+        states, measured, commands, whole = block(*blocks[0])
         return Trajectories(states, measured, commands, whole if full else None)
     out = [np.empty((R, N, n)) for n in sizes]
 
-    def kept(first: int) -> None:
-        for target, source in zip(out, block(first), strict=True):
-            target[first : first + width] = source
+    def kept(own: tuple[int, int]) -> None:
+        for target, source in zip(out, block(*own), strict=True):
+            target[own[0] : sum(own)] = source
 
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(kept, starts))
+            list(pool.map(kept, blocks))
     else:
-        for first in starts:
-            kept(first)
+        for own in blocks:
+            kept(own)
     return Trajectories(out[0], out[1], out[2], out[3] if full else None)
 
 

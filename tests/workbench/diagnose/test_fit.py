@@ -153,6 +153,15 @@ def test_the_jacobian_is_the_slope_of_the_errors_also_at_a_bound():
             ahead = base.predictor.at(own.point(z + step * (np.arange(own.size) == j)))[i]
             slope = ((ahead - e[i]) / step).ravel()
             np.testing.assert_allclose(J[i][:, c], slope, rtol=0.02, atol=0.02 * np.abs(slope).max() + 1e-9)
+    # errors that are known already need no run, and what is taken over stays
+    at, again = jacobian(base.predictor, own, z, sizes, (), e)
+    held, kept = jacobian(base.predictor, own, z, sizes, [2.0 * j for j in J], e)
+    for i in range(2):
+        np.testing.assert_array_equal(at[i], e[i])
+        np.testing.assert_array_equal(held[i], e[i])
+        np.testing.assert_array_equal(again[i], J[i])
+        np.testing.assert_array_equal(kept[i][:, : own.split[0]], 2.0 * J[i][:, : own.split[0]])
+        np.testing.assert_array_equal(kept[i][:, own.split[0] :], J[i][:, own.split[0] :])
 
 
 def test_a_shape_belongs_to_one_effect_only():

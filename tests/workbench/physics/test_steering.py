@@ -1,5 +1,7 @@
 """A steered run against the same arithmetic in numpy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -73,6 +75,23 @@ def test_entries_that_are_named_are_corrected_as_by_a_gain_of_0_for_all_others()
         )
         np.testing.assert_array_equal(few.full, every.full)
     assert np.abs(few.full - run(plant, u, start, stepper.Steering(full=True), effects=lag).full).max() > 1e-4
+
+
+@pytest.mark.parametrize("R", [2, 3, 17, 18, 19])
+def test_every_run_of_a_batch_is_the_run_alone_whichever_kernel_it_goes_through(R):
+    random, plant = np.random.default_rng(2), WEB_WINDING
+    x0, u0 = plant.equilibrium()
+    y = random.standard_normal((N, len(plant.outputs)))
+    gain = 1e-3 * random.standard_normal((N, 5, len(plant.outputs)))
+    steering = stepper.Steering(y, gain, np.arange(5), full=True)
+    each = lanes(plant, np.tile(u0, (N, 1)), x0, R=R)
+    each = replace(each, start=x0 * random.uniform(0.9, 1.1, (R, len(x0))))
+    whole = stepper.run(plant, Playback(plant.input_names, plant.dt), each, 8, 2, steering)
+    for r in range(R):
+        alone = replace(lanes(plant, np.tile(u0, (N, 1)), x0), start=each.start[r : r + 1])
+        one = stepper.run(plant, Playback(plant.input_names, plant.dt), alone, 8, 1, steering)
+        for name in ("states", "measured", "commands", "full"):
+            np.testing.assert_array_equal(getattr(whole, name)[r], getattr(one, name)[0])
 
 
 def test_a_push_adds_to_the_rate_of_its_state_alone():
