@@ -26,7 +26,8 @@ from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
 from workbench.diagnose.gains import Held, ahead, errors_on, gained
-from workbench.diagnose.predictor import predictor
+from workbench.diagnose.lags import timed
+from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model, is_late, refits, settled, shortlist, without
@@ -67,7 +68,10 @@ class Rival:
 
 @record
 class Step:
-    """A cause as it was accepted: models before and after, its score, rivals by BIC, and how it held on what was left out."""
+    """A cause as it was accepted: models before and after, its score, rivals by BIC, and how it held on what was left out.
+
+    others: times that suit the records as well as that of `after`, where a lag and a time constant can change places.
+    """
 
     key: str
     before: Model
@@ -77,6 +81,7 @@ class Step:
     gain: float
     stable: float
     rival: Rival | None = None  # the closest one that ties
+    others: tuple[float, ...] = ()
 
 
 def diagnose(
@@ -129,7 +134,13 @@ def diagnose(
         parameters={q.name: float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
         tested=tuple(s.variant.key for s in tested),
         similarity=similarity(tested),
-        notes=(*notes, *([str(found.local)] if found.local else []), *map(_refused, found.refused), *_beyond(model)),
+        notes=(
+            *notes,
+            *([str(found.local)] if found.local else []),
+            *map(_refused, found.refused),
+            *_exchanged(steps),
+            *_beyond(model),
+        ),
         seconds=time.perf_counter() - began,
     )
 
@@ -260,17 +271,24 @@ def _step(
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
     near = {s.key for trial, s in trials[:FINALISTS] if trial.bic < trials[0][0].bic + slack}
     near |= _alike(model, [s for _, s in trials], sizes)
-    first = settled(trials[0][0], sizes)
+    others: dict[str, tuple[float, ...]] = {}
+
+    def final(trial: Model, key: str, noise: Noise | None = None) -> Model:
+        found = timed(model, settled(trial, sizes, noise), key, sizes)
+        others[key] = found.others
+        return found.model
+
+    first = final(trials[0][0], trials[0][1].key)
     # rivals begin where the first one ended: what looks alike must not differ by the way that its noise levels went
     finals = [(first, trials[0][1])]
-    finals += [(settled(t, sizes, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
+    finals += [(final(t, s.key, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
     finals.sort(key=lambda pair: pair[0].bic)
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
     rest = (pair for pair in trials[1:] if pair[1].key not in near)
     while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(rest, None)):
         # what came first holds in some records only: another cause may hold in all
         near.add(pair[1].key)
-        tried = settled(pair[0], sizes, first.predictor.noise)
+        tried = final(pair[0], pair[1].key, first.predictor.noise)
         worthy += [(tried, pair[1])] if _worthy(model, tried, pair[1].key, steps, most) else []
     held = [(m, s) for m, s in worthy if left_out(model, m).holds]
     if not held:
@@ -289,6 +307,7 @@ def _step(
         model.bic - best.bic,
         stability(best, score.key),
         _closest(model, best, score.key, tying),
+        others[score.key],
     )
 
 
@@ -467,14 +486,16 @@ def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
         trials = refits(less, found, sizes) if found else []
         # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike
         near = [(m, s) for m, s in trials if m.bic < trials[0][0].bic + SWAP and m.bic < 0.5 * (less.bic + model.bic)]
-        tried = [(settled(m, sizes, model.predictor.noise), s) for m, s in near]
-        finals = [(m, s) for m, s in tried if _worthy(less, m, s.key, others, most)]
+        tried = [(timed(less, settled(m, sizes, model.predictor.noise), s.key, sizes), s) for m, s in near]
+        times = {s.key: t.others for t, s in tried} | {step.key: step.others}
+        finals = [(t.model, s) for t, s in tried if _worthy(less, t.model, s.key, others, most)]
         better = [(m, s) for m, s in finals if m.bic < model.bic and left_out(less, m).holds]
         finals.append((model, step.score))
         model, score = min(better, key=lambda pair: pair[0].bic, default=(model, step.score))
         tying = _rivals(less, model, score.key, finals)
         gaps = {s.key: _gap(model, score.key, m, s.key) for m, s in tying}
-        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=_closest(less, model, score.key, tying))
+        closest = _closest(less, model, score.key, tying)
+        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=closest, others=times[score.key])
     steps[-1] = replace(steps[-1], after=model)
     return steps
 
@@ -575,13 +596,29 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
         effect=effect,
         place=place,
         sentence=slot.effect.sentence.format(place=place),
-        parameters=_sizes(model, step.key),
+        parameters=_spanning(_sizes(model, step.key), step.others),
         gains=gains,
         evidence=Evidence(step.gain, step.score.p_family, 1.0 / total),
         ties={key: w / total for key, w in sorted(weights.items(), key=lambda item: -item[1])},
         stability=step.stable,
         separates=slot.effect.separates,
     )
+
+
+def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:
+    """Sizes whose first, a time, has an interval that holds the other times too."""
+    name, found = next(iter(sizes.items()))
+    return sizes | {name: replace(found, low=min(found.low, *others), high=max(found.high, *others))} if others else sizes
+
+
+def _exchanged(steps: Sequence[Step]) -> list[str]:
+    """A sentence for every time that may have changed places with a time constant of the machine."""
+    return [
+        f"{s.key}: {' or '.join(f'{other:.3g} s' for other in s.others)} explains these records as well, with other parameters "
+        "of the machine: its time and the machine's can change places, and only a parameter that is known better decides"
+        for s in steps
+        if s.others
+    ]
 
 
 def _rounded(plant: Plant, r: Rounded) -> Cause:

@@ -175,8 +175,9 @@ class Fit:
 
     @cached_property
     def squares(self) -> float:
-        """Sum of squares of the whitened errors."""
-        return float(sum(np.sum(e**2) for e in self.errors))
+        """Sum of squares of the whitened errors; inf where a run left every range."""
+        value = float(sum(np.sum(e**2) for e in self.errors))
+        return value if np.isfinite(value) else np.inf
 
     @property
     def cost(self) -> float:
@@ -273,7 +274,7 @@ def gauss_newton(
 ) -> Fit:
     """Minimise from z: at most `rounds` Jacobians, each for up to `chords` steps; stops where a step gains less than `enough`.
 
-    Parameters' columns are made anew where a parameter has moved by more than NEAR.
+    Parameters' columns are made anew where a parameter has moved by more than NEAR. A step that gives no numbers is no step.
     """
     z = unknowns.clip(z)
     fit, known, made_at = None, (), z
@@ -287,6 +288,8 @@ def gauss_newton(
         fit = Fit(unknowns, z, e, J)
         began = cost = fit.cost
         A, _ = _normal(unknowns, J, e)
+        if not np.isfinite(A).all():
+            break
         for _ in range(chords):
             _, b = _normal(unknowns, J, fit.errors)
             b += fit.prior
@@ -307,14 +310,14 @@ def _best_step(predictor, unknowns, z, A, b, cost, J) -> Fit | None:
     """The full step if it helps, else the best of a fan of shorter and more damped ones, side by side."""
     scale = np.diag(np.diag(A))
     full = _solve(A, b)
-    trials = [full]
-    tried = _evaluate(predictor, unknowns, [unknowns.clip(z - step) for step in trials], J)
-    if tried[0].cost < cost:
-        return tried[0]
     fan = [share * full for share in (0.5, 0.2, 0.05, 0.01)]
     fan += [_solve(A + damping * scale, b) for damping in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
-    best = min(_evaluate(predictor, unknowns, [unknowns.clip(z - step) for step in fan], J), key=lambda f: f.cost)
-    return best if best.cost < cost else None
+    for trials in ([full], fan):
+        moves = [unknowns.clip(z - step) for step in trials if np.isfinite(step).all()]
+        best = min(_evaluate(predictor, unknowns, moves, J), key=lambda f: f.cost) if moves else None
+        if best is not None and best.cost < cost:
+            return best
+    return None
 
 
 def _solve(A: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -195,10 +195,11 @@ class Predictor:
         return Course(x, angle, inner, run.measured[0], missing)
 
     def regained(self, point: Point, noise: Noise | None = None, *, rounds: int = 1) -> "Predictor":
-        """The same predictor with gains along its trajectories at `point`."""
+        """The same predictor with gains along its trajectories at `point`; where the old gains lose one, its gains are NaN."""
         new = replace(self, point=point, noise=noise or self.noise)
         for _ in range(rounds):
-            lines = tuple(new._linearized(i) for i in range(len(new.records)))
+            with np.errstate(over="ignore", invalid="ignore"):
+                lines = tuple(new._linearized(i) for i in range(len(new.records)))
             passes = tuple(gains(line, new.noise.pushes, new.noise.measurement) for line in lines)
             new = replace(new, lines=lines, passes=passes, carried=new._carried())
         return new

@@ -47,19 +47,38 @@ class Model:
         return sum(t.count(len(self.predictor.records)) for t in self.terms)
 
     @property
+    def farthest(self) -> float:
+        """The largest deviation of a parameter from nominal, in standard deviations of what the data sheet leaves open."""
+        return float(np.abs(self._theta).max(initial=0.0))
+
+    @property
     def within(self) -> float:
         """What the prior makes of the parameters' deviations from nominal, as far as they are within their tolerance."""
         return float(np.sum(np.minimum(np.abs(self._theta), np.sqrt(3.0)) ** 2))
 
+    @property
+    def beyond(self) -> float:
+        """What the prior makes of the parameters' deviations beyond their tolerance."""
+        return float(np.sum(np.maximum(np.abs(self._theta) - np.sqrt(3.0), 0.0) ** 2))
+
     @cached_property
     def deviance(self) -> float:
-        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost."""
-        beyond = np.maximum(np.abs(self._theta) - np.sqrt(3.0), 0.0)
-        return self.fit.squares + float(beyond @ beyond) + sum(p.log_det for p in self.predictor.passes)
+        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost; inf where a run was lost."""
+        value = self.fit.squares + self.beyond + sum(p.log_det for p in self.predictor.passes)
+        return value if np.isfinite(value) else np.inf
 
     @property
     def _theta(self) -> np.ndarray:
         return self.fit.z[: self.fit.unknowns.split[0]]
+
+    @property
+    def _theta(self) -> np.ndarray:
+        return self.fit.z[: self.fit.unknowns.split[0]]
+
+    @property
+    def posterior(self) -> float:
+        """The deviance with the prior of the parameters counted in full, within their tolerances too."""
+        return self.deviance - self.beyond + float(self._theta @ self._theta)
 
     @property
     def bic(self) -> float:
@@ -129,7 +148,9 @@ def refits(model: Model, found: Sequence[Score], sizes: np.ndarray) -> list[tupl
     done = []
     for rank, (fitted, start, score) in enumerate(sorted(quick, key=lambda item: item[0].bic)):
         if rank < CLOSER or model.bic - fitted.bic > 0.5 * best:
-            fitted = min((fitted, _at_own_noise(model.predictor, start, sizes)), key=lambda m: m.bic)
+            # a start that was found with gains of its own keeps them: those of the model know nothing of a sensor's memory
+            lent = fitted.predictor if start is fitted.fit else model.predictor
+            fitted = min((fitted, _at_own_noise(lent, start, sizes)), key=lambda m: m.bic)
         done.append((fitted, score))
     return sorted(done, key=lambda item: item[0].bic)
 
@@ -176,9 +197,8 @@ def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model | None:
     for samples in LATE:
         z = start.z.copy()
         z[:at], z[at] = model.fit.z, samples * plant.dt
-        with np.errstate(over="ignore", invalid="ignore"):  # a run that the old gains cannot hold ends the search
-            predictor = predictor.regained(unknowns.point(z))
-            tried = Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0])
+        predictor = predictor.regained(unknowns.point(z))
+        tried = Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0])
         if not tried.deviance < model.deviance + FAR_OFF * predictor.samples:
             break
         best = min((best or tried, tried), key=lambda m: m.deviance)

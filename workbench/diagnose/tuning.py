@@ -61,7 +61,7 @@ def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> N
             found = likelihood(with_decay(line, nd, a), levels.pushes, levels.measurement, gain, e, nd)
             total += found.deviance
             slope += np.concatenate([found.process, found.measurement, [found.decay]])
-        if not np.isfinite(total):
+        if not np.isfinite(total) or not np.isfinite(slope).all():
             return 1e300, np.zeros(len(z))
         off = (z - middle) / width
         slope *= np.append(expected**2 * np.exp(z[:-1]), a * dt / levels.memory)
