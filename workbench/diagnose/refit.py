@@ -72,10 +72,6 @@ class Model:
         return self.fit.z[: self.fit.unknowns.split[0]]
 
     @property
-    def _theta(self) -> np.ndarray:
-        return self.fit.z[: self.fit.unknowns.split[0]]
-
-    @property
     def posterior(self) -> float:
         """The deviance with the prior of the parameters counted in full, within their tolerances too."""
         return self.deviance - self.beyond + float(self._theta @ self._theta)
