@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from studies import STUDIES
 
-DONE, NEGATIVE, BAD_INPUT, CRASHED, INTERRUPTED = 0, 1, 2, 70, 130
+DONE, NEGATIVE, BAD_INPUT, NOT_HANDED_OUT, CRASHED, INTERRUPTED = 0, 1, 2, 3, 70, 130
 PLANT_HELP = "machine of the workbench, package.module:NAME, file.py:NAME, model (m.json) or plant file (NAME+extended.json)"
 CONTROLLER_HELP = "controller written by design, or a law of your own: file.py:NAME, package.module:NAME"
 
@@ -209,6 +209,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("--bound", metavar="E,E", help="--tube: largest error of each output beyond its parameters")
     sub.add_argument("--fallback", metavar="FILE", help="mpc, nmpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
+    _accept(sub)
 
     sub = command(
         "export",
@@ -300,6 +301,12 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _accept(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--accept", action="store_true", help="take an answer all the same that the referee does not hand out (exit code 3)"
+    )
+
+
 def _plant_and_records(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("records", nargs="+", metavar="RECORD", help="measured records (CSV or MAT), channels named as in the plant")
     sub.add_argument("--plant", required=True, metavar="PLANT", help=PLANT_HELP)
@@ -333,7 +340,9 @@ def _interval_options(sub: argparse.ArgumentParser) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; 0 done, 1 the answer is negative, 2 bad input (with the place and the mend), 130 interrupted."""
+    """Run one command; 0 done, 1 the answer is negative, 2 bad input (with the place and the mend), 3 an answer that the
+    referee does not hand out, 130 interrupted.
+    """
     words = parser()
     if "_ARGCOMPLETE" in os.environ:  # the shell asks what could stand here; does not return
         import argcomplete
