@@ -311,6 +311,7 @@ def _plant_and_records(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("records", nargs="+", metavar="RECORD", help="measured records (CSV or MAT), channels named as in the plant")
     sub.add_argument("--plant", required=True, metavar="PLANT", help=PLANT_HELP)
     sub.add_argument("--holdout", nargs="+", action="extend", default=[], metavar="RECORD", help="records to measure the gain on")
+    _accept(sub)
 
 
 def _interval_options(sub: argparse.ArgumentParser) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 from studies.arguments import choose_plant, run_folder
 from studies.calibration import PLANT_FILE, Records, again, notes, read_records, traces, write_extension
 from studies.catalogue import equation, symbols
+from studies.cli import DONE
+from studies.referee import handed_out
 from studies.verdict import ended, next_step, sentences, sizes
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.answer import Cause, Diagnosis, NextExperiment
@@ -44,26 +46,32 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     found = diagnose(chosen.plant, records.own, records.held_out, templates=templates, progress=progress)
     progress("simulating data sheet, recalibrated and extended plant")
     shown_at = stages(chosen.plant, found, records.own, records.held_out or records.own)
+    code = handed_out(found.objections, options.accept, say)
     for sentence in sentences(found, records.held_out is not None, shown_at.errors):
         say(sentence)
     for sentence in dict.fromkeys([*heard, *(f"note: {note}" for note in found.notes)]):
         say(sentence)
     source = provenance({"plant": options.plant, "holdout": options.holdout}, [*records.files, *chosen.files])
     folder = run_folder(options.out, "diagnose")
-    extended = write_extension(folder, chosen, found.parameters, found.effects, source)
+    extended = write_extension(folder, chosen, found.parameters, found.effects, source) if code == DONE else None
+    if not extended:
+        (folder / PLANT_FILE).unlink(missing_ok=True)  # that of a former diagnosis
     if found.next_experiment and found.next_experiment.signals:
         write_csv(_experiment(chosen.plant, found.next_experiment), folder / EXPERIMENT_FILE)
         say(f"next experiment: {folder / EXPERIMENT_FILE}")
     else:
         (folder / EXPERIMENT_FILE).unlink(missing_ok=True)  # that of a former diagnosis decides nothing here
+    content = to_json(found, folder, source) | {"stages": nullable([vars(e) for e in shown_at.errors])}
+    content["extended"] = str(extended) if extended else None
     for path in (folder / "diagnosis.json", options.json):
         if path:
-            write_json(path, to_json(found, folder, source) | {"stages": nullable([vars(e) for e in shown_at.errors])})
+            write_json(path, content)
     progress("drawing")
     report = page(chosen.plant, found, records, shown_at, source)
-    say(f"extended plant, for --plant and simulate: {again(chosen, extended)}")
+    if extended:
+        say(f"extended plant, for --plant and simulate: {again(chosen, extended)}")
     say(f"report: {write_report(report, folder)}")
-    return 0
+    return code
 
 
 def templates_of(name: str, plant: Plant, records: Dataset) -> tuple[Template, ...]:

@@ -33,7 +33,7 @@ def verdict(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = ())
 def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = ()) -> list[str]:
     """The verdict and what it means, what is missing, how large, how sure, what naming it gains, and what to do next."""
     tied = found.finding is Finding.NAMED and any(cause.ties for cause in found.causes)
-    said = [(TIED if tied else HEADLINES[found.finding]).format(plant=found.plant)]
+    said = [(TIED if tied else HEADLINES[found.finding]).format(plant=found.plant), *map(ended, found.signs)]
     if found.finding is Finding.NOTHING:
         said.append(reach(found))
     else:

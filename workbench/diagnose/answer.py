@@ -125,6 +125,8 @@ class Diagnosis:
     """See the module. effects and parameters extend the plant: what `simulate` takes.
 
     similarity (m, m): share of the signature of the effect in a row that the one in a column can mimic, for the keys in `tested`.
+    signs: parameters that had to leave their tolerance. objections: where the extended plant is worse on held-out records than
+    the plant that it replaces, so that it is not handed out.
     """
 
     plant: str
@@ -140,6 +142,8 @@ class Diagnosis:
     tested: tuple[str, ...]
     similarity: np.ndarray = field("m m")
     notes: tuple[str, ...] = ()
+    signs: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()
     seconds: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
@@ -157,7 +161,8 @@ class Diagnosis:
                 {"channel": r.channel, "over": r.variable, "p_value": r.p_value, "share": r.share, "sentence": r.sentence}
                 for r in self.remainder
             ],
-            "notes": list(self.notes),
+            "notes": [*self.signs, *self.notes],
+            "objections": list(self.objections),
         }
 
 

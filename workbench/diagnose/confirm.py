@@ -62,7 +62,7 @@ class LeftOut:
 def left_out(base: Model, extended: Model) -> LeftOut:
     """What the extension gains on each fold, predicted from the others with all that they leave open."""
     total = sum(len(r) for r in base.predictor.records)
-    length = max(5, min(round(1.0 / base.predictor.plant.dt), total // BLOCKS))
+    length = max(5, min(base.predictor.block, total // BLOCKS))
     gains = np.array([_surprise(base, fold) - _surprise(extended, fold) for fold in folds(base)])
     blocks = []
     for i in range(len(base.predictor.records)):
@@ -145,7 +145,7 @@ def stability(model: Model, key: str) -> float:
         b, S = G.T @ e, G.T @ G
         if np.trace(S) < 1e-6 * np.trace(fit.information[np.ix_(mine, mine)]):
             continue
-        length = ny * max(5, round(1.0 / model.predictor.plant.dt))
+        length = ny * model.predictor.block
         parts = np.add.reduceat(G * e[:, None], np.arange(0, max(1, len(e) - length // 2), length), axis=0)
         spread = (parts - parts.mean(axis=0)).T @ (parts - parts.mean(axis=0))
         ratio = max(1.0, float(np.trace(np.linalg.pinv(S) @ spread)) / len(mine))

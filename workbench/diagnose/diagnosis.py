@@ -25,15 +25,18 @@ from workbench.diagnose.answer import (
 from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
+from workbench.diagnose.free_run import simulated
 from workbench.diagnose.gains import Held, ahead, errors_on, gained
 from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
-from workbench.diagnose.recalibrate import recalibrated
+from workbench.diagnose.recalibrate import recalibrated, unknowns
+from workbench.diagnose.referee import Change, changes, harms, helps, worse
 from workbench.diagnose.refit import Model, is_late, refits, settled, shortlist, without
 from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
 from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
+from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain
 from workbench.physics.plant import EffectSizes, Plant, Slot
 from workbench.records import record
@@ -52,6 +55,8 @@ NEARLY, FINALISTS = 0.1, 3  # share of the best refit's gain that a refit may mi
 ALIKE = 0.9  # share of a signature that another can mimic from which on both are fitted to convergence
 RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; BIC that their first fit may lie behind
 MOST = 3
+MATTERS, MATTERS_ALONE = 0.01, 0.005  # share of an error that a further cause must take off; where nothing is left without a name
+BETTER = 0.02  # share of the errors a second and the full run ahead by which a fit to free runs must be better
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
 ROUNDED, PLAY = "quantisation", "backlash"
@@ -90,7 +95,7 @@ def diagnose(
     held_out: Dataset | None = None,
     *,
     templates: Sequence[Template] = (),
-    drift: bool | None = None,
+    drift: bool = True,
     threads: int = 1,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
@@ -99,25 +104,38 @@ def diagnose(
     templates: experiments that the machine could run, among which the one is sought that would tell causes apart which tie.
     drift: whether torques that nobody logged may come and go as noise. Such a noise may take in what changes at reversals only,
     friction and offset: where it leaves something that no effect explains, the search is made again without it, and counts if
-    what it names helps a second ahead (None, the default). Raises InputError for records that cannot be of this plant; see
-    `check`.
+    what it names helps a second ahead. Parameters and sizes are those of the likelihood or of the free run, whichever errs less
+    a second and the full run ahead.
+    Raises InputError for records that cannot be of this plant; see `check`.
     """
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset)]
-    found = _searched(plant, dataset, drift is not False, threads, progress)
-    torques = len(found.base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
-    if drift is None and torques and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE):
+    errors = _Errors(held_out or dataset, held_out is not None)
+    progress("recalibrating")
+    base = _recalibrated(plant, dataset, drift, threads)
+    if not np.isfinite(base.deviance):
+        raise InputError(
+            "the simulation leaves every range along these records, however it is corrected",
+            file=plant.name,
+            mend="check the equation, the units, and the values of the parameters at the records' operating points",
+        )
+    found = _judged(_searched(base, np.inf if drift else 1.0 - HELPFUL, progress), errors, longer=not drift)
+    torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
+    if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or _forgiven(errors, found)):
         progress("again, without torques that come and go")
-        again = _searched(plant, dataset, False, threads, progress)
-        if again.steps and not _tells(found.local, again) and ahead(found.model, again.model) < 1.0 - LONG_RUN:
+        again = _judged(_searched(_recalibrated(plant, dataset, False, threads), 1.0 - HELPFUL, progress), errors, longer=True)
+        if again.steps and not _tells(found.local, again) and _longer(errors, found.model, again.model) < 1.0 - LONG_RUN:
             found = replace(again, local=again.local or found.local)
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
             )
+    following = _next(found.steps, templates)
+    progress("free runs")
+    found = _by_free_runs(found, errors)
     progress("gains on held-out records")
-    errors = _Errors(held_out or dataset)
-    found = _confirmed(found, errors) if held_out else found
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
+    worse_than_given = worse(errors.between(_as_given(plant, dataset, drift, threads), model))
+    kept = not steps and worse_than_given  # what names nothing must not bend parameters either
     causes = tuple(_cause(plant, s, model, errors.gains(s)) for s in steps)
     rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
@@ -129,17 +147,25 @@ def diagnose(
         untestable=_untestable(base, tested),
         limits=(*_limits(plant, tested), *_rounding_limits(base)),
         remainder=tuple(_remainder(x, whole) for x in found.left[:5] if x.p_family < ALPHA),
-        next_experiment=_next(steps, templates),
+        next_experiment=following,
         effects={**_effects(model), **{c.key: {name: e.value for name, e in c.parameters.items()} for c in rounds}},
-        parameters={q.name: float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
+        parameters={q.name: q.value if kept else float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
         tested=tuple(s.variant.key for s in tested),
         similarity=similarity(tested),
         notes=(
             *notes,
             *([str(found.local)] if found.local else []),
-            *map(_refused, found.refused),
+            *map(str, found.refused),
             *_exchanged(steps),
-            *_beyond(model),
+            *(
+                f"the plant keeps the parameters that it came with: recalibrated ones are worse ({c})"
+                for c in worse_than_given
+                if kept
+            ),
+        ),
+        signs=tuple(_beyond(model)),
+        objections=tuple(
+            f"the extended plant is worse than the one it replaces, on {errors.where}: {c}" for c in worse_than_given if steps
         ),
         seconds=time.perf_counter() - began,
     )
@@ -159,10 +185,21 @@ class Local:
 
 
 @record
+class Refused:
+    """An effect that the search took for a cause and the referee does not."""
+
+    key: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.key} {self.why}"
+
+
+@record
 class _Found:
     """What a search found: the base model, the steps from it, what is left, and the signatures of all effects at the base.
 
-    refused: effects that held on the records of the search, but not on held-out ones.
+    refused: effects that held on the records of the search, but are no causes: see `_judged`.
     """
 
     base: Model
@@ -171,11 +208,12 @@ class _Found:
     tested: tuple[Signature, ...]
     lesser: "_Lesser"
     local: Local | None = None
-    refused: tuple[str, ...] = ()
+    refused: tuple[Refused, ...] = ()
+    runs: Model | None = None  # the base with parameters of the free run, where nothing is named and they are better
 
     @property
     def model(self) -> Model:
-        return self.steps[-1].after if self.steps else self.base
+        return self.steps[-1].after if self.steps else self.runs or self.base
 
     @property
     def finding(self) -> Finding:
@@ -185,14 +223,49 @@ class _Found:
         return found
 
 
-def _searched(plant: Plant, dataset: Dataset, drift: bool, threads: int, progress: Callable[[str], None]) -> _Found:
-    """Recalibrate, search, drop, and look at what is left."""
-    progress("recalibrating")
+def _recalibrated(plant: Plant, dataset: Dataset, drift: bool, threads: int) -> Model:
     made = recalibrated(predictor(plant, dataset, drift=drift, threads=threads), rounds=1)
-    base = settled(Model(made.predictor, made.fit), np.zeros(len(plant.slots)))
-    # a likelihood without coloured torques calls everything significant: there only what a second ahead shows counts
-    most = np.inf if drift else 1.0 - HELPFUL
-    search = _Search([slot.key for slot in base.predictor.plant.slots], np.zeros(len(plant.slots)), most, progress)
+    return settled(Model(made.predictor, made.fit), np.zeros(len(plant.slots)))
+
+
+def _as_given(plant: Plant, dataset: Dataset, drift: bool, threads: int) -> Model:
+    """The plant with the parameters that it came with; starts and noise levels are of the records."""
+    at = predictor(plant, dataset, drift=drift, threads=threads)
+    made = recalibrated(at, own=unknowns(at, names=()), rounds=1)
+    return Model(made.predictor, made.fit)
+
+
+def _longer(errors: "_Errors", before: Model, after: Model) -> float:
+    """Errors a second and the full run ahead, after over before: geometric mean over channels."""
+    kept = [max(1.0 - c.share, 1e-9) for c in errors.between(before, after) if c.horizon != "one-step"]
+    return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
+
+
+def _forgiven(errors: "_Errors", found: _Found) -> bool:
+    """Whether a model in which nothing is missing one step ahead is far from the best that its parameters can do in free runs."""
+    runs = simulated(found.base) if found.finding is Finding.NOTHING else None
+    return runs is not None and _longer(errors, found.base, runs) < 1.0 - LONG_RUN
+
+
+def _by_free_runs(found: _Found, errors: "_Errors") -> _Found:
+    """With parameters and sizes that are fitted to free runs, where these err less a second and the full run ahead."""
+    model = simulated(found.model)
+    if model is None or _longer(errors, found.model, model) > 1.0 - BETTER or worse(errors.between(found.model, model)):
+        return found
+    if not found.steps:
+        return replace(found, runs=model)
+    steps = [replace(s, before=simulated(s.before) or s.before, after=model) for s in found.steps]
+    return replace(found, steps=tuple(steps))
+
+
+def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Found:
+    """Search from a recalibrated model, drop, and look at what is left.
+
+    most: errors a second ahead, after over before, of every cause. Without coloured torques, and in free runs, everything is
+    significant: there only what a second ahead shows counts.
+    """
+    plant = base.predictor.plant
+    search = _Search([slot.key for slot in plant.slots], np.zeros(len(plant.slots)), most, progress)
     steps, lesser = search.path(base), _Lesser(search.sizes)
     if len(steps) > 1:
         progress("dropping and swapping")
@@ -434,10 +507,14 @@ class _Lesser:
 
 
 class _Errors:
-    """Models on held-out records, each computed once."""
+    """Models on held-out records, each computed once; on their own where none is held out."""
 
-    def __init__(self, dataset: Dataset):
-        self.dataset, self.known = dataset, []
+    def __init__(self, dataset: Dataset, held_out: bool):
+        self.dataset, self.held_out, self.known = dataset, held_out, []
+
+    @property
+    def where(self) -> str:
+        return "held-out records" if self.held_out else "these records (none was held out)"
 
     def of(self, model: Model) -> Held:
         for other, held in self.known:
@@ -450,28 +527,59 @@ class _Errors:
         """What a cause gains beside all others."""
         return gained(self.of(step.before), self.of(step.after))
 
+    def changes(self, step: Step) -> tuple[Change, ...]:
+        """The same, pooled over records."""
+        return self.between(step.before, step.after)
+
+    def between(self, before: Model, after: Model) -> tuple[Change, ...]:
+        return changes(self.of(before), self.of(after))
+
     def surprise(self, step: Step) -> float:
         """How much less likely the held-out records are with the cause than without it, in -2 log likelihood."""
         return self.of(step.after).deviance - self.of(step.before).deviance
 
 
-def _confirmed(found: _Found, errors: _Errors) -> _Found:
-    """Without causes that make held-out records no more likely, the least helpful first: whatever they stand for on the
-    records of the search, it is not this effect.
+def _judged(found: _Found, errors: _Errors, *, longer: bool) -> _Found:
+    """Without what is no cause, the weakest first; each time the others are fitted again, and what is left is looked at anew.
+
+    What is known to be left shows how large the errors of the model's form are, and these are the same on held-out records: an
+    effect that explains less than the strongest term without a name is not told from them. Where its place in the machine is
+    right, what is said of its size is not. longer: causes are judged a second ahead, not by the likelihood one step ahead.
     """
-    steps, refused = list(found.steps), []
-    while steps and errors.surprise(worst := max(steps, key=errors.surprise)) >= 0.0:
-        refused.append(worst.key)
-        rest = [replace(s, after=worst.before) for s in steps if s is not worst]
+    steps, left, refused = list(found.steps), found.left, []
+    while steps:
+        strongest = max((x.statistic for x in left if x.p_family < ALPHA), default=0.0)
+        first = max(steps, key=lambda step: step.gain)
+        objected = [(step, why) for step in steps if (why := _objection(step, step is first, strongest, errors, longer))]
+        if not objected:
+            break
+        weakest, why = min(objected, key=lambda pair: pair[0].gain)
+        refused.append(Refused(weakest.key, why))
+        rest = [replace(s, after=weakest.before) for s in steps if s is not weakest]
         steps = _pruned(found.base, rest, found.lesser) if rest else []
-    if not refused:
-        return found
-    left = remainder(steps[-1].after if steps else found.base)
-    return replace(found, steps=tuple(steps), left=tuple(left), refused=tuple(refused))
+        left = tuple(remainder(steps[-1].after if steps else found.base))
+    found = replace(found, steps=tuple(steps), left=left, refused=tuple(refused))
+    if found.finding is Finding.UNKNOWN and steps:  # what does not hold everywhere beside so much that is left is no name
+        refused += [Refused(s.key, "would explain part of it, but not with one size in all records") for s in steps]
+        found = replace(found, steps=(), left=tuple(remainder(found.base)), refused=tuple(refused))
+    return found
 
 
-def _refused(key: str) -> str:
-    return f"{key} would explain these records, but predicts the held-out ones no better: something else is behind it"
+def _objection(step: Step, first: bool, strongest: float, errors: _Errors, longer: bool) -> str:
+    """Why an effect is no cause; empty where nothing speaks against it. strongest: statistic of what is left without a name."""
+    found = errors.changes(step)
+    if step.gain < strongest:
+        return "would explain part of it, but more is left beside it than it explains"
+    ahead_of = any(c.sure and c.share > 0.0 for c in found if c.horizon == "one-second")
+    if not ahead_of if longer else errors.held_out and errors.surprise(step) >= 0.0:
+        return "would explain these records, but predicts the held-out ones no better: something else is behind it"
+    if first:
+        return ""
+    if not helps(found, MATTERS if strongest else MATTERS_ALONE):
+        return "would explain a little more, but takes no error down by a share that matters"
+    if harmed := harms(found):
+        return f"would explain a little more, but makes an error worse ({harmed[0]})"
+    return ""
 
 
 def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
@@ -648,15 +756,16 @@ def _next(steps: Sequence[Step], templates: Sequence[Template]) -> NextExperimen
 
 
 def _beyond(model: Model) -> list[str]:
-    """A sentence for every parameter that had to leave its tolerance."""
+    """A sentence for every parameter that had to leave its tolerance: beside a named cause a sign of another missing piece."""
     unknowns, plant = model.fit.unknowns, model.predictor.plant
+    sign = ": a sign of another missing piece" if model.keys else ""
     said = []
     for j, i in enumerate(unknowns.parameters):
         q, now = plant.parameters[i], float(model.fit.point.p[i])
         if abs(model.fit.z[j]) > 1.5 * np.sqrt(3.0):
             said.append(
                 f"{q.name} ({q.meaning or 'parameter'}) is {now:.4g} {q.unit}, {100 * (now / q.value - 1):+.0f} % off the data "
-                f"sheet, which leaves {100 * q.tolerance:.0f} % open"
+                f"sheet, which leaves {100 * q.tolerance:.0f} % open{sign}"
             )
     return said
 
@@ -665,7 +774,7 @@ def _spread(model: Model) -> np.ndarray:
     """Standard deviations of the unknowns: the larger of the likelihood's and of the scores of blocks of a second (sandwich)."""
     fit, unknowns = model.fit, model.fit.unknowns
     meat = np.diag(unknowns.believed.astype(float))
-    length = max(5, round(1.0 / model.predictor.plant.dt))
+    length = model.predictor.block
     for i, (J, e) in enumerate(zip(fit.jacobian, fit.errors, strict=True)):
         own, ny = unknowns.columns(i), e.shape[1]
         first = ny * np.arange(0, max(1, len(e) - length // 2), length)

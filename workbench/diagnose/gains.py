@@ -10,6 +10,7 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.diagnose.answer import Gain
 from workbench.diagnose.fit import Unknowns, gauss_newton
+from workbench.diagnose.free_run import filtered
 from workbench.diagnose.predictor import Point, Predictor, predictor
 from workbench.diagnose.refit import Model
 from workbench.physics import stepper
@@ -19,6 +20,7 @@ HORIZONS = ("one-step", "one-second", "full-run")
 SETTLING = 10  # samples at the start of a record that are not counted
 PHASES = 16  # at which a periodic effect is tried on a record
 LANES = 32  # starts a second ahead that run side by side
+LOST = 1e100  # error of a run that was lost: its square is still a number
 
 
 @record
@@ -38,7 +40,8 @@ def on(model: Model, dataset: Dataset) -> tuple[Predictor, Point]:
     old = model.fit.unknowns
     point = model.fit.point
     n = len(made.records)
-    made = replace(made, plant=model.predictor.plant, substeps=model.predictor.substeps, entries=model.predictor.entries)
+    lent = model.predictor
+    made = replace(made, plant=lent.plant, substeps=lent.substeps, entries=lent.entries, simulated=lent.simulated)
     terms = tuple(replace(t, free=()) for t in old.terms if t.phase)
     plant = model.predictor.plant
     unknowns = Unknowns(
@@ -148,26 +151,41 @@ def _ahead(made: Predictor, point: Point, i: int, steps: int) -> np.ndarray:
 
 @record
 class Held:
-    """A model on records of others: root mean square errors by record, horizon and channel, and -2 log likelihood."""
+    """A model on records of others: root mean square errors by record, horizon and channel, and -2 log likelihood.
+
+    squares: the squared errors behind each score, sample by sample, NaN where there is none and inf where a run was lost.
+    """
 
     scores: tuple[Score, ...]
     deviance: float
+    squares: tuple[np.ndarray, ...] = ()
+    dt: float = 0.0
 
 
 def errors_on(model: Model, dataset: Dataset) -> Held:
-    """The model's errors on the records of `dataset`, and how likely they are in its light; starts do not count."""
-    made, point = on(model, dataset)
-    found, deviance = [], 0.0
+    """The model's errors on the records of `dataset`, and how likely they are in its light; starts do not count.
+
+    A model of free runs has errors with a filter of its own, and is likely by its free runs.
+    """
+    made, point = on(filtered(model), dataset)
+    weighing, at = on(model, dataset) if model.predictor.simulated else (made, point)
+    found, squares, deviance = [], [], 0.0
     for i, r in enumerate(made.records):
         measured = np.asarray(np.isfinite(r.y).any(axis=0))
         for horizon in HORIZONS:
-            e = errors(made, point, i, horizon)[SETTLING:, measured]
-            rms = np.sqrt(np.nanmean(e**2, axis=0)) if np.isfinite(e).any() else np.full(e.shape[1], np.nan)
-            channels = [made.plant.outputs[j] for j in np.flatnonzero(measured)]
-            found += [Score(r.name, horizon, c.name, c.unit, float(v)) for c, v in zip(channels, rms, strict=True)]
-        white = made.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0]
-        deviance += float(made.deviances(i, white)[SETTLING:].sum())
-    return Held(tuple(found), deviance)
+            with np.errstate(over="ignore", invalid="ignore"):
+                e = errors(made, point, i, horizon)[SETTLING:, measured]
+                square = np.where(np.abs(e) < LOST, e**2, np.where(np.isnan(r.y[SETTLING:, measured]), np.nan, np.inf))
+            if horizon == "one-second":  # its first second has no error
+                square[np.isnan(e)] = np.nan
+            for channel, own in zip(np.flatnonzero(measured), square.T, strict=True):
+                c, told = made.plant.outputs[channel], own[~np.isnan(own)]
+                rms = float(np.sqrt(told.mean())) if len(told) else np.nan
+                found.append(Score(r.name, horizon, c.name, c.unit, rms if rms < np.inf else np.nan))
+                squares.append(own)
+        white = weighing.errors(i, at.p[None], at.eta[i][None], at.start[i][None])[0]
+        deviance += float(weighing.deviances(i, white)[SETTLING:].sum())
+    return Held(tuple(found), deviance, tuple(squares), made.plant.dt)
 
 
 def gained(before: Held, after: Held) -> tuple[Gain, ...]:

@@ -105,7 +105,10 @@ class Course:
 
 @record
 class Predictor:
-    """Predictions of `plant` along `records` with gains that were computed at `point`; see the module."""
+    """Predictions of `plant` along `records` with gains that were computed at `point`; see the module.
+
+    simulated: without process noise, so that nothing corrects the states; the noise's memory is then how long errors last.
+    """
 
     plant: Plant
     records: tuple[Record, ...]
@@ -118,6 +121,12 @@ class Predictor:
     lines: tuple[Linearization, ...] = ()
     carried: np.ndarray = field("n", default_factory=lambda: np.empty(0))  # indices of the filter's states in the full state
     threads: int = 1
+    simulated: bool = False
+
+    @property
+    def block(self) -> int:
+        """Samples after which errors count as independent: a second, or longer where those of a free run last."""
+        return max(5, round(max(1.0, 2.0 * self.noise.memory * self.simulated) / self.plant.dt))
 
     @property
     def samples(self) -> int:

@@ -279,9 +279,12 @@ def _sorted_errors(predictor: Predictor, i: int, point, eta: np.ndarray) -> np.n
 
 
 def _blocks(predictor: Predictor, i: int) -> np.ndarray:
-    """First rows of the bootstrap's blocks in record i: one second each, but at least eighty blocks in all records."""
+    """First rows of the bootstrap's blocks in record i: one second each, but at least eighty blocks in all records.
+
+    Errors of a free run may last longer: there twenty blocks must do.
+    """
     ny, total = len(predictor.plant.outputs), sum(len(r) for r in predictor.records)
-    length = max(5, min(round(1.0 / predictor.plant.dt), total // 80))
+    length = max(5, min(predictor.block, total // (20 if predictor.simulated else 80)))
     return ny * np.arange(0, max(1, len(predictor.records[i]) - length // 2), length)
 
 

@@ -27,8 +27,11 @@ ENOUGH, AGAIN = 0.05, 1.0  # of the deviance: a search ends, and is not begun ag
 def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> Noise:
     """The noise levels under which the predictor's own trajectory is most likely; share: of the records that are looked at.
 
-    again: the predictor's levels were found so, about a trajectory like this one, and the search begins at them.
+    again: the predictor's levels were found so, about a trajectory like this one, and the search begins at them. Free runs
+    have no noise but what their errors are weighed by.
     """
+    if predictor.simulated:
+        return predictor.noise
     pieces = [_piece(predictor, i) for i in range(int(np.ceil(share * len(predictor.records))))]
     nw, nd, dt = len(predictor.noise.process), len(predictor.noise.drift), predictor.plant.dt
     expected = _levels(predictor.expected)
