@@ -9,6 +9,8 @@ import numpy as np
 
 from plants import PLANTS
 from studies.arguments import Chosen, choose_plant, names, run_folder
+from studies.cli import DONE
+from studies.referee import handed_out
 from workbench.data import Dataset, check_held_out
 from workbench.diagnose.answer import Gain
 from workbench.diagnose.calibrate import Bounds, Calibration, Fitted, Trajectory, calibrate, gains, trajectories
@@ -76,7 +78,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     plant, bounds = chosen.plant, parse_bounds(options.bound)
     records = read_records(options, plant, say)
     progress("fitting parameters, starts and noise levels")
-    done = calibrate(plant, records.own, names=names(options.parameters) or None, bounds=bounds)
+    done = calibrate(plant, records.own, records.held_out, names=names(options.parameters) or None, bounds=bounds)
     shown = records.held_out or records.own
     progress("simulating before and after")
     before, after = trajectories(plant, shown), trajectories(done.plant, shown)
@@ -89,17 +91,23 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     }
     source = provenance(configuration, [*records.files, *chosen.files])
     folder = run_folder(options.out, "calibrate")
-    write_extension(folder, chosen, done.values, {}, source)
-    content = to_json(done, found, records) | {"file": str(folder / PLANT_FILE), "provenance": source}
+    code = handed_out(done.objections, options.accept, say)
+    if code == DONE:
+        write_extension(folder, chosen, done.values, {}, source)
+    else:
+        (folder / PLANT_FILE).unlink(missing_ok=True)  # that of a former calibration
+    file = str(folder / PLANT_FILE) if code == DONE else None
+    content = to_json(done, found, records) | {"file": file, "objections": list(done.objections), "provenance": source}
     for path in (folder / "calibration.json", options.json):
         if path:
             write_json(path, content)
     for line in described(done, found, records.held_out is not None):
         say(line)
     report = _report(done, found, (before, after), records, source)
-    say(f"plant file: {folder / PLANT_FILE}")
+    if file:
+        say(f"plant file: {file}")
     say(f"report: {write_report(report, folder)}")
-    return 0
+    return code
 
 
 def write_extension(folder: Path, chosen: Chosen, parameters, effects, source: dict[str, Any]) -> Path:

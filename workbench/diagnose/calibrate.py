@@ -3,7 +3,8 @@
     p = nominal exp(sigma theta),  theta ~ N(0, 1) before,  N(theta^, P) after;  sigma = tolerance / sqrt 3
 
 The 95 % interval of p is nominal exp(sigma (theta^ -+ 1.96 sqrt P_ii)); 1 - sqrt P_ii is how much the records say against
-the data sheet. Starts of records and noise levels are found on the way.
+the data sheet. Starts of records and noise levels are found on the way. The values are those of the likelihood one step ahead or
+those of the free run, whichever err less a second and the full run ahead.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,9 +15,12 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.diagnose.answer import Gain
 from workbench.diagnose.fit import term
+from workbench.diagnose.free_run import filtered
 from workbench.diagnose.gains import errors
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import Calibrated, recalibrated, unknowns
+from workbench.diagnose.referee import Judge, as_given
+from workbench.diagnose.refit import Model
 from workbench.errors import InputError, check_known
 from workbench.physics.plant import Parameter, Plant
 from workbench.records import field, record
@@ -93,13 +97,17 @@ class Trajectory:
 
 @record
 class Calibration:
-    """The plant with its fitted parameters, what is known of each, pairs that only count together, starts and noise levels."""
+    """The plant with its fitted parameters, what is known of each, pairs that only count together, starts and noise levels.
+
+    objections: where it is worse than the plant that it replaces, so that it is not handed out.
+    """
 
     plant: Plant
     parameters: tuple[Fitted, ...]
     pairs: tuple[Pair, ...]
     starts: Mapping[str, Mapping[str, float]]
     noise: Mapping[str, float]
+    objections: tuple[str, ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -110,8 +118,17 @@ class Calibration:
         return tuple(p.warning for p in self.parameters if p.warning)
 
 
-def calibrate(plant: Plant, dataset: Dataset, *, names: Sequence[str] | None = None, bounds: Bounds | None = None) -> Calibration:
+def calibrate(
+    plant: Plant,
+    dataset: Dataset,
+    held_out: Dataset | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    bounds: Bounds | None = None,
+) -> Calibration:
     """Fit the parameters called `names` (default: all with a tolerance, and those with a bound) to the records.
+
+    held_out: records on which the fits are compared with each other and with the plant as it came (default: the same records).
 
     A parameter that would leave its bounds is held there and the others are fitted again. A bound is also the tolerance of a
     parameter that has none. Raises InputError for unknown names, bounds upside down or without the nominal value, and
@@ -138,18 +155,25 @@ def calibrate(plant: Plant, dataset: Dataset, *, names: Sequence[str] | None = N
             break
         value = next(f.value for f in fitted if f.name == worst)
         held[worst] = float(np.clip(value, *bounds[worst]))
+    judge = Judge(held_out or dataset, held_out is not None)
+    model = judge.better_ahead(Model(done.predictor, done.fit))
+    freely = Calibrated(model.predictor, model.fit)
+    if all(_beyond(f, bounds[f.name]) <= 0.0 for f in _fitted(opened, freely, held) if f.name in bounds and f.name not in held):
+        done, fitted = freely, _fitted(opened, freely, held)
+    objections = judge.objections("calibrated", as_given(plant, dataset), Model(done.predictor, done.fit))
     found = done.predictor
     starts = {
         r.name: dict(zip(plant.state_names, x.tolist(), strict=True))
         for r, x in zip(found.records, done.fit.point.start, strict=True)
     }
+    levels = filtered(Model(done.predictor, done.fit)).predictor.noise.measurement
     noise = {
-        name: float(found.noise.measurement[i])
+        name: float(levels[i])
         for i, name in enumerate(plant.output_names)
         if any(np.isfinite(r.y[:, i]).any() for r in found.records)
     }
     values = {f.name: f.value for f in fitted}
-    return Calibration(_with_values(plant, values), fitted, _pairs(fitted, done), starts, noise)
+    return Calibration(_with_values(plant, values), fitted, _pairs(fitted, done), starts, noise, objections)
 
 
 def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:

@@ -16,7 +16,6 @@ from workbench.diagnose.answer import (
     Estimate,
     Evidence,
     Finding,
-    Gain,
     Limit,
     NextExperiment,
     Remainder,
@@ -26,12 +25,12 @@ from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
 from workbench.diagnose.free_run import simulated
-from workbench.diagnose.gains import Held, ahead, errors_on, gained
+from workbench.diagnose.gains import ahead
 from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
-from workbench.diagnose.recalibrate import recalibrated, unknowns
-from workbench.diagnose.referee import Change, changes, harms, helps, worse
+from workbench.diagnose.recalibrate import recalibrated
+from workbench.diagnose.referee import Judge, as_given, harms, helps
 from workbench.diagnose.refit import Model, is_late, refits, settled, shortlist, without
 from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
@@ -56,7 +55,6 @@ ALIKE = 0.9  # share of a signature that another can mimic from which on both ar
 RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; BIC that their first fit may lie behind
 MOST = 3
 MATTERS, MATTERS_ALONE = 0.01, 0.005  # share of an error that a further cause must take off; where nothing is left without a name
-BETTER = 0.02  # share of the errors a second and the full run ahead by which a fit to free runs must be better
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
 ROUNDED, PLAY = "quantisation", "backlash"
@@ -110,7 +108,7 @@ def diagnose(
     """
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset)]
-    errors = _Errors(held_out or dataset, held_out is not None)
+    judge = Judge(held_out or dataset, held_out is not None)
     progress("recalibrating")
     base = _recalibrated(plant, dataset, drift, threads)
     if not np.isfinite(base.deviance):
@@ -119,24 +117,26 @@ def diagnose(
             file=plant.name,
             mend="check the equation, the units, and the values of the parameters at the records' operating points",
         )
-    found = _judged(_searched(base, np.inf if drift else 1.0 - HELPFUL, progress), errors, longer=not drift)
+    found = _judged(_searched(base, np.inf if drift else 1.0 - HELPFUL, progress), judge, longer=not drift)
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
-    if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or _forgiven(errors, found)):
+    if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or _forgiven(judge, found)):
         progress("again, without torques that come and go")
-        again = _judged(_searched(_recalibrated(plant, dataset, False, threads), 1.0 - HELPFUL, progress), errors, longer=True)
-        if again.steps and not _tells(found.local, again) and _longer(errors, found.model, again.model) < 1.0 - LONG_RUN:
+        again = _judged(_searched(_recalibrated(plant, dataset, False, threads), 1.0 - HELPFUL, progress), judge, longer=True)
+        if again.steps and not _tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
             found = replace(again, local=again.local or found.local)
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
             )
     following = _next(found.steps, templates)
     progress("free runs")
-    found = _by_free_runs(found, errors)
+    found = _by_free_runs(found, judge)
     progress("gains on held-out records")
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
-    worse_than_given = worse(errors.between(_as_given(plant, dataset, drift, threads), model))
-    kept = not steps and worse_than_given  # what names nothing must not bend parameters either
-    causes = tuple(_cause(plant, s, model, errors.gains(s)) for s in steps)
+    objections = judge.objections(
+        "extended" if steps else "recalibrated", as_given(plant, dataset, drift=drift, threads=threads), model
+    )
+    kept = bool(objections) and not steps  # what names nothing must not bend parameters either
+    causes = tuple(_cause(plant, s, model, judge.gained(s.before, s.after)) for s in steps)
     rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     return Diagnosis(
@@ -157,16 +157,10 @@ def diagnose(
             *([str(found.local)] if found.local else []),
             *map(str, found.refused),
             *_exchanged(steps),
-            *(
-                f"the plant keeps the parameters that it came with: recalibrated ones are worse ({c})"
-                for c in worse_than_given
-                if kept
-            ),
+            *(f"the plant keeps its own parameters: {objection}" for objection in objections if kept),
         ),
         signs=tuple(_beyond(model)),
-        objections=tuple(
-            f"the extended plant is worse than the one it replaces, on {errors.where}: {c}" for c in worse_than_given if steps
-        ),
+        objections=() if kept else objections,
         seconds=time.perf_counter() - began,
     )
 
@@ -228,34 +222,20 @@ def _recalibrated(plant: Plant, dataset: Dataset, drift: bool, threads: int) -> 
     return settled(Model(made.predictor, made.fit), np.zeros(len(plant.slots)))
 
 
-def _as_given(plant: Plant, dataset: Dataset, drift: bool, threads: int) -> Model:
-    """The plant with the parameters that it came with; starts and noise levels are of the records."""
-    at = predictor(plant, dataset, drift=drift, threads=threads)
-    made = recalibrated(at, own=unknowns(at, names=()), rounds=1)
-    return Model(made.predictor, made.fit)
-
-
-def _longer(errors: "_Errors", before: Model, after: Model) -> float:
-    """Errors a second and the full run ahead, after over before: geometric mean over channels."""
-    kept = [max(1.0 - c.share, 1e-9) for c in errors.between(before, after) if c.horizon != "one-step"]
-    return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
-
-
-def _forgiven(errors: "_Errors", found: _Found) -> bool:
+def _forgiven(judge: Judge, found: _Found) -> bool:
     """Whether a model in which nothing is missing one step ahead is far from the best that its parameters can do in free runs."""
     runs = simulated(found.base) if found.finding is Finding.NOTHING else None
-    return runs is not None and _longer(errors, found.base, runs) < 1.0 - LONG_RUN
+    return runs is not None and judge.longer(found.base, runs) < 1.0 - LONG_RUN
 
 
-def _by_free_runs(found: _Found, errors: "_Errors") -> _Found:
+def _by_free_runs(found: _Found, judge: Judge) -> _Found:
     """With parameters and sizes that are fitted to free runs, where these err less a second and the full run ahead."""
-    model = simulated(found.model)
-    if model is None or _longer(errors, found.model, model) > 1.0 - BETTER or worse(errors.between(found.model, model)):
+    model = judge.better_ahead(found.model)
+    if model is found.model:
         return found
     if not found.steps:
         return replace(found, runs=model)
-    steps = [replace(s, before=simulated(s.before) or s.before, after=model) for s in found.steps]
-    return replace(found, steps=tuple(steps))
+    return replace(found, steps=tuple(replace(s, before=simulated(s.before) or s.before, after=model) for s in found.steps))
 
 
 def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Found:
@@ -506,40 +486,7 @@ class _Lesser:
         return less
 
 
-class _Errors:
-    """Models on held-out records, each computed once; on their own where none is held out."""
-
-    def __init__(self, dataset: Dataset, held_out: bool):
-        self.dataset, self.held_out, self.known = dataset, held_out, []
-
-    @property
-    def where(self) -> str:
-        return "held-out records" if self.held_out else "these records (none was held out)"
-
-    def of(self, model: Model) -> Held:
-        for other, held in self.known:
-            if other is model:
-                return held
-        self.known.append((model, errors_on(model, self.dataset)))
-        return self.known[-1][1]
-
-    def gains(self, step: Step) -> tuple[Gain, ...]:
-        """What a cause gains beside all others."""
-        return gained(self.of(step.before), self.of(step.after))
-
-    def changes(self, step: Step) -> tuple[Change, ...]:
-        """The same, pooled over records."""
-        return self.between(step.before, step.after)
-
-    def between(self, before: Model, after: Model) -> tuple[Change, ...]:
-        return changes(self.of(before), self.of(after))
-
-    def surprise(self, step: Step) -> float:
-        """How much less likely the held-out records are with the cause than without it, in -2 log likelihood."""
-        return self.of(step.after).deviance - self.of(step.before).deviance
-
-
-def _judged(found: _Found, errors: _Errors, *, longer: bool) -> _Found:
+def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
     """Without what is no cause, the weakest first; each time the others are fitted again, and what is left is looked at anew.
 
     What is known to be left shows how large the errors of the model's form are, and these are the same on held-out records: an
@@ -550,7 +497,7 @@ def _judged(found: _Found, errors: _Errors, *, longer: bool) -> _Found:
     while steps:
         strongest = max((x.statistic for x in left if x.p_family < ALPHA), default=0.0)
         first = max(steps, key=lambda step: step.gain)
-        objected = [(step, why) for step in steps if (why := _objection(step, step is first, strongest, errors, longer))]
+        objected = [(step, why) for step in steps if (why := _objection(step, step is first, strongest, judge, longer))]
         if not objected:
             break
         weakest, why = min(objected, key=lambda pair: pair[0].gain)
@@ -565,13 +512,13 @@ def _judged(found: _Found, errors: _Errors, *, longer: bool) -> _Found:
     return found
 
 
-def _objection(step: Step, first: bool, strongest: float, errors: _Errors, longer: bool) -> str:
+def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: bool) -> str:
     """Why an effect is no cause; empty where nothing speaks against it. strongest: statistic of what is left without a name."""
-    found = errors.changes(step)
+    found = judge.between(step.before, step.after)
     if step.gain < strongest:
         return "would explain part of it, but more is left beside it than it explains"
     ahead_of = any(c.sure and c.share > 0.0 for c in found if c.horizon == "one-second")
-    if not ahead_of if longer else errors.held_out and errors.surprise(step) >= 0.0:
+    if not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0:
         return "would explain these records, but predicts the held-out ones no better: something else is behind it"
     if first:
         return ""

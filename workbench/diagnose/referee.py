@@ -10,13 +10,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.diagnose.gains import HORIZONS, Held
+from workbench.data import Dataset
+from workbench.diagnose.answer import Gain
+from workbench.diagnose.free_run import simulated
+from workbench.diagnose.gains import HORIZONS, Held, errors_on, gained
+from workbench.diagnose.predictor import predictor
+from workbench.diagnose.recalibrate import recalibrated, unknowns
+from workbench.diagnose.refit import Model
+from workbench.physics.plant import Plant
 from workbench.records import record
 
 SURE = 2.0  # standard errors
 FEWEST, ROUGH = 6, 0.2  # blocks, below which no standard error is known, and the share that counts there
 CORRELATED = 0.3  # autocorrelation up to which a block must reach
 LOSS = 0.0025  # share of the error by which a cause may raise it
+BETTER = 0.02  # share of the errors a second and the full run ahead by which a fit to free runs must be better
 NOTICEABLE = 0.02  # the same from which what is handed out is called worse
 
 
@@ -80,6 +88,57 @@ def _correlated(d: np.ndarray) -> int:
     auto = np.fft.irfft(spectrum)[: len(d)]
     below = np.flatnonzero(auto < CORRELATED * auto[0])
     return int(below[0]) if len(below) else len(d)
+
+
+class Judge:
+    """Models on held-out records, each computed once; on their own records where none is held out."""
+
+    def __init__(self, dataset: Dataset, held_out: bool):
+        self.dataset, self.held_out, self._known = dataset, held_out, []
+
+    def of(self, model: Model) -> Held:
+        for other, held in self._known:
+            if other is model:
+                return held
+        self._known.append((model, errors_on(model, self.dataset)))
+        return self._known[-1][1]
+
+    def between(self, before: Model, after: Model) -> tuple[Change, ...]:
+        return changes(self.of(before), self.of(after))
+
+    def gained(self, before: Model, after: Model) -> tuple[Gain, ...]:
+        """The errors of every record."""
+        return gained(self.of(before), self.of(after))
+
+    def surprise(self, before: Model, after: Model) -> float:
+        """How much less likely the records are with the second model than with the first, in -2 log likelihood."""
+        return self.of(after).deviance - self.of(before).deviance
+
+    def longer(self, before: Model, after: Model) -> float:
+        """Errors a second and the full run ahead, after over before: geometric mean over channels."""
+        kept = [max(1.0 - c.share, 1e-9) for c in self.between(before, after) if c.horizon != "one-step"]
+        return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
+
+    def better_ahead(self, model: Model) -> Model:
+        """The model fitted to free runs, where it errs less a second and the full run ahead and more nowhere; else as it is."""
+        runs = simulated(model)
+        if runs is None or self.longer(model, runs) > 1.0 - BETTER or worse(self.between(model, runs)):
+            return model
+        return runs
+
+    def objections(self, what: str, given: Model, model: Model) -> tuple[str, ...]:
+        """A sentence for each channel and horizon where a model is worse than the one that it replaces."""
+        where = "held-out records" if self.held_out else "these records (none was held out)"
+        return tuple(
+            f"the {what} plant is worse than the one that it replaces, on {where}: {c}" for c in worse(self.between(given, model))
+        )
+
+
+def as_given(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int = 1) -> Model:
+    """The plant with the parameters that it came with; starts and noise levels are of the records."""
+    at = predictor(plant, dataset, drift=drift, threads=threads)
+    made = recalibrated(at, own=unknowns(at, names=()), rounds=1)
+    return Model(made.predictor, made.fit)
 
 
 def helps(found: Sequence[Change], least: float) -> bool:

@@ -1,0 +1,99 @@
+"""What is handed out is compared with what it replaces: the arithmetic, and calibrations that would be worse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.workbench.diagnose.drive import DRIVE, records
+from workbench.diagnose.calibrate import calibrate, gains, trajectories
+from workbench.diagnose.gains import Held, Score
+from workbench.diagnose.referee import changes, harms, helps, worse
+
+DT, N = 0.01, 4000
+
+
+def held(*series: tuple[str, np.ndarray]) -> Held:
+    """A model with these errors by horizon, in one channel of one record."""
+    scores = tuple(Score("r", horizon, "y", "m", float(np.sqrt(np.nanmean(e**2)))) for horizon, e in series)
+    return Held(scores, 0.0, tuple(e**2 for _, e in series), DT)
+
+
+def coloured(seed: int, memory: float) -> np.ndarray:
+    """Noise of unit size that fades with `memory` samples."""
+    random, a = np.random.default_rng(seed), np.exp(-1.0 / memory)
+    e = np.zeros(N)
+    for k in range(1, N):
+        e[k] = a * e[k - 1] + np.sqrt(1.0 - a * a) * random.standard_normal()
+    return e
+
+
+def test_a_share_is_that_of_the_pooled_root_mean_square():
+    e = coloured(0, 1.0)
+    (change,) = changes(held(("one-step", e)), held(("one-step", 0.8 * e)))
+    assert change.share == pytest.approx(0.2)
+    assert change.before == pytest.approx(np.sqrt(np.mean(e**2)))
+    assert change.sure
+
+
+def test_errors_that_differ_by_chance_are_not_told_apart_however_long_they_last():
+    """Of pairs of independent noise of the same size one in twenty may look different; white blocks would find most."""
+    for memory in (1.0, 100.0):
+        told = [
+            changes(held(("full-run", coloured(2 * k, memory))), held(("full-run", coloured(2 * k + 1, memory))))[0].sure
+            for k in range(60)
+        ]
+        assert np.mean(told) < 0.15
+
+
+def test_a_difference_that_lasts_is_told():
+    e = coloured(1, 100.0)
+    (change,) = changes(held(("full-run", e)), held(("full-run", e + 1.0)))
+    assert change.sure
+    assert change.share < -0.2
+    assert worse((change,))
+    assert not harms((change,))  # full runs of phases and integrals harm no cause
+
+
+def test_a_lost_run_is_worse_than_any_other_and_a_found_one_better():
+    e = coloured(1, 1.0)
+    lost = np.where(np.arange(N) > 3000, np.inf, e)
+    (fell,) = changes(held(("full-run", e)), held(("full-run", lost)))
+    assert fell.share == -np.inf
+    assert worse((fell,)) == (fell,)
+    assert "a lost run" in str(fell)
+    (rose,) = changes(held(("full-run", lost)), held(("full-run", e)))
+    assert rose.share == np.inf
+    assert helps((rose,), 0.01)
+    assert not worse((rose,))
+    (neither,) = changes(held(("full-run", lost)), held(("full-run", lost)))
+    assert neither.share == 0.0
+
+
+def test_what_was_not_measured_does_not_count():
+    e = coloured(1, 1.0)
+    gap = np.where(np.arange(N) < 500, np.nan, e)
+    (change,) = changes(held(("one-step", gap)), held(("one-step", 0.5 * gap)))
+    assert change.share == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_calibration_is_better_than_the_plant_that_it_replaces_or_says_that_it_is_not(seed):
+    """A tacho that lags, which the plant does not know: one step ahead a wrong inertia makes up for it, over the full run not.
+    From the true parameters every move is for the worse.
+    """
+    own, other = (
+        records(seed, lag=0.1, inertia=1.0, samples=1500),
+        records(seed + 10, lag=0.1, inertia=1.0, count=1, samples=1500),
+    )
+    for plant in (DRIVE, _moved(DRIVE, 1.15)):
+        done = calibrate(plant, own, other)
+        found = gains(plant, trajectories(plant, other), trajectories(done.plant, other))
+        (run,) = (g for g in found if g.horizon == "full-run")
+        assert run.after < 1.03 * run.before or done.objections
+
+
+def _moved(plant, factor):
+    return replace(
+        plant, parameters=tuple(replace(q, value=q.value * (factor if q.name == "J0" else 1.0)) for q in plant.parameters)
+    )
