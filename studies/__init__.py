@@ -9,8 +9,8 @@ from types import ModuleType
 PACKAGES = ("workbench", "controllers", "plants", "studies")
 
 NAMES = (
-    "web-winding", "winding-models", "welding-robot", "emps", "winding-records", "hidden-effects", "controller-comparison",
-    "robust-winding", "pid-bandwidth", "sampling-time", "noise-level", "record-count", "detection-rate",
+    "web-winding", "winding-models", "welding-robot", "emps", "winding-records", "hidden-effects", "strangers",
+    "controller-comparison", "robust-winding", "pid-bandwidth", "sampling-time", "noise-level", "record-count", "detection-rate",
 )  # fmt: skip
 
 #: What imports a study, by its name.

@@ -292,7 +292,7 @@ def parser() -> argparse.ArgumentParser:
         "--cases",
         type=_positive,
         metavar="M",
-        help="hidden-effects: cases (default 600); controller-comparison: seeds (20)",
+        help="hidden-effects, strangers: cases (default 600, 400); controller-comparison: seeds (20)",
     )
     sub.add_argument(
         "--jobs", type=_positive, metavar="N", help="processes side by side (default 2; 1 of those that --cases is for)"

@@ -275,7 +275,7 @@ def summary(rows: Iterable[Row]) -> Summary:
         both_by_multiple=share(found(row) == 2 for row in pairs if by_multiple(row)),
         wrong_in_pairs=share(row.get("verdict") == "named" and bool(strangers(row)) for row in both),
         outside=share(row.get("verdict") in ("unknown", "incomplete") for row in far),
-        inside=share(_inside(rows)),
+        inside=share(inside(rows)),
         gained=share(_gained(rows)),
         resolved=share(r is Resolution.RESOLVED for r in ties if r is not Resolution.UNDECIDABLE),
         undecidable=share(r is Resolution.UNDECIDABLE for r in ties),
@@ -295,7 +295,7 @@ def by_machine(rows: Sequence[Row]) -> dict[str, Summary]:
     return {"all": summary(rows)} | {name: summary([row for row in rows if row["machine"] == name]) for name in machines}
 
 
-def _inside(rows: Iterable[Row]) -> Iterable[bool]:
+def inside(rows: Iterable[Row]) -> Iterable[bool]:
     """Whether a true number lies in its stated interval; a number that is stated without one is not asked."""
     for row in rows:
         truth = {t["key"]: t["parameters"] for t in row["truth"]}
