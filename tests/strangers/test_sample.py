@@ -1,0 +1,35 @@
+"""Eight cases of the zoo, drawn by their seeds: no crash, no refusal, no confident wrong name. The study strangers counts all."""
+
+import pytest
+
+from studies.stranger_scores import strangers
+from studies.strangers import configured, run_case, said
+from tests.strangers.case import machine_of
+
+FIRST = 5_000_000  # chosen once, before anything was run
+QUICK = ("conical-tank", "heater", "propeller-arm", "ball-in-tube", "fan", "crane", "cylinder", "quadruple-tanks")
+
+
+def chosen() -> list[int]:
+    """The first seed from FIRST on of each machine whose records are short."""
+    return [next(seed for seed in range(FIRST, FIRST + 100) if machine_of(seed) == name) for name in QUICK]
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return [run_case(seed, configured()) for seed in chosen()]
+
+
+def listed(rows) -> str:
+    return "\n" + "\n".join(map(said, rows))
+
+
+@pytest.mark.slow
+def test_every_case_comes_to_an_answer(rows):
+    assert not (lost := [row for row in rows if "verdict" not in row]), listed(lost)
+
+
+@pytest.mark.slow
+def test_no_wrong_name_is_given_with_confidence(rows):
+    wrong = [row for row in rows if row.get("verdict") == "named" and strangers(row)]
+    assert not wrong, listed(wrong)
