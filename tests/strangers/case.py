@@ -159,7 +159,7 @@ def course(random: np.random.Generator, samples: int, dt: float, what: Course, k
     if kind == "waves":
         slow, fast = 1.0 / (4.0 * what.hold[1]), 1.0 / (2.0 * what.hold[0])
         waves = [np.sin(2.0 * np.pi * (slow * (fast / slow) ** random.random() * t + random.random())) for _ in range(5)]
-        return middle + half * np.sum(waves, axis=0) / 4.0
+        return middle + half * np.clip(np.sum(waves, axis=0) / 4.0, -1.0, 1.0)
     holds = random.uniform(*what.hold, 2 + int(samples * dt / what.hold[0]))
     which = np.searchsorted(np.cumsum(holds), t, side="right")
     if kind == "binary":

@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from tests.strangers.bench import Acting, Log, Machine, Numbers, Run, run
 
 FIVE_SIGMA = 25.0
-ORDER = 12  # of the autoregressive model
+ORDERS = (0, 1, 2, 3, 4, 6, 8, 12)  # of the autoregressive model
 MOVED = 0.02  # standard deviations of the prior by which a parameter is moved
 START = 1e-3  # spreads of a state by which a start is moved
 SIZES = 0.5 ** np.arange(11.0)  # of the largest
@@ -118,13 +118,20 @@ def _whitened(moved: np.ndarray, left: np.ndarray) -> np.ndarray:
     """`moved` (N, ny, R, V) through the filter that makes `left` (N, ny, R) white, each output by itself, in deviations."""
     found = np.empty_like(moved)
     for i in range(left.shape[1]):
-        e = left[:, i] - left[:, i].mean(axis=0)
-        past = np.concatenate(
-            [np.column_stack([e[ORDER - j : len(e) - j, r] for j in range(1, ORDER + 1)]) for r in range(e.shape[1])]
-        )
-        now = np.concatenate([e[ORDER:, r] for r in range(e.shape[1])])
-        ridge = 1e-6 * float(np.sum(now**2)) + 1e-300
-        a = np.linalg.solve(past.T @ past + ridge * np.eye(ORDER), past.T @ now)
-        deviation = float(np.std(now - past @ a)) + 1e-300
-        found[:, i] = lfilter(np.concatenate([[1.0], -a]), [1.0], moved[:, i], axis=0) / deviation
+        whitening, deviation = _model(left[:, i] - left[:, i].mean(axis=0))
+        found[:, i] = lfilter(whitening, [1.0], moved[:, i], axis=0) / deviation
     return found
+
+
+def _model(e: np.ndarray) -> tuple[np.ndarray, float]:
+    """The filter 1, -a_1, .. that makes e (N, R) white, of the order that BIC prefers, and the deviation of what is left."""
+    best = (np.inf, np.ones(1), 1.0)
+    now = e[ORDERS[-1] :].T.ravel()
+    for order in ORDERS:
+        past = np.column_stack([e[ORDERS[-1] - j : len(e) - j].T.ravel() for j in range(1, order + 1)] or [0.0 * now])
+        ridge = 1e-6 * float(np.sum(now**2)) + 1e-300
+        a = np.linalg.solve(past.T @ past + ridge * np.eye(past.shape[1]), past.T @ now)
+        deviation = float(np.std(now - past @ a)) + 1e-300
+        bic = 2.0 * len(now) * np.log(deviation) + order * np.log(len(now))
+        best = min(best, (bic, np.concatenate([[1.0], -a]), deviation), key=lambda one: one[0])
+    return best[1], best[2]
