@@ -178,7 +178,7 @@ def run(machine: Machine, numbers: Numbers, acting: Acting, start: np.ndarray, w
             if moving or j == steps - 1:
                 for s, z in zip(sensors, machine.outputs(x, p), strict=True):
                     s.step(z, h)
-        if not np.isfinite(x).all():
+        if not np.isfinite(x).all(axis=0).any():
             commands[k:], measured[k:], states[k:] = np.nan, np.nan, np.nan
             break
     b = what.before
@@ -222,15 +222,19 @@ class _Body:
         middle = {place: x[self.row(place)] for place in self.dry}
         f = {place: np.clip(self.force[place], *self.bounds(place, v, t + 0.5 * h)) for place, v in middle.items()}
         after = self.smooth(x, u, t, h, f)
-        for place in self.dry * (1 if len(self.dry) == 1 else TURNS):
-            row = self.row(place)
-            low, high = self.bounds(place, 0.5 * (x[row] + after[row]), t + 0.5 * h)
-            more = np.where(high > low, high - low, 1.0)
-            answer = (self.smooth(x, u, t, h, f | {place: f[place] + more})[row] - after[row]) / more
-            held = np.clip(f[place] - after[row] / answer, low, high)
-            if not np.array_equal(held, f[place]):
-                f[place] = held
+        for _ in range(1 if len(self.dry) == 1 else TURNS):
+            before = dict(f)
+            for place in self.dry:
+                row = self.row(place)
+                low, high = self.bounds(place, 0.5 * (x[row] + after[row]), t + 0.5 * h)
+                if np.all(((f[place] == low) & (after[row] > 0.0)) | ((f[place] == high) & (after[row] < 0.0))):
+                    continue  # all of them slide
+                more = np.where(high > low, high - low, 1.0)
+                answer = (self.smooth(x, u, t, h, f | {place: f[place] + more})[row] - after[row]) / more
+                f[place] = np.clip(f[place] - after[row] / answer, low, high)
                 after = self.smooth(x, u, t, h, f)
+            if all(np.array_equal(f[place], before[place]) for place in self.dry):
+                break
         self.force = f
         return after
 
@@ -303,20 +307,26 @@ class _Drive:
     """From a held command to what acts: the mean over each step, exact for a dead time of any length."""
 
     def __init__(self, own: Mapping[str, Numbers]):
-        self.own, self.held, self.sums, self.gap = own, [], [], 1.0
+        self.own, self.gap, self.count = own, 1.0, 0
+        self.held = self.sums = np.empty((0, 0))
 
     def hold(self, u: np.ndarray, dt: float) -> None:
         """A sample begins: the integral of all that was held before it goes on."""
-        self.sums.append(self.sums[-1] + dt * self.held[-1] if self.held else 0.0 * u)
-        self.held.append(np.array(u))
+        k = self.count
+        if k == len(self.held):
+            more = np.zeros((max(k, 1024), len(u)))
+            self.held, self.sums = (np.concatenate([old.reshape(k, len(u)), more]) for old in (self.held, self.sums))
+        self.held[k] = u
+        self.sums[k] = self.sums[k - 1] + dt * self.held[k - 1] if k else 0.0
+        self.count = k + 1
 
     def mean(self, since: float, h: float, t: float, dt: float) -> np.ndarray:
         """Over h from `since` after the last sample."""
-        u = self.held[-1]
+        u = self.held[self.count - 1]
         if not self.own:
             return u
         if "input-delay" in self.own:
-            end = (len(self.held) - 1) * dt + since - self.own["input-delay"]["time"] + np.zeros(u.shape)
+            end = (self.count - 1) * dt + since - self.own["input-delay"]["time"] + np.zeros(u.shape)
             u = (self._integral(end + h, dt) - self._integral(end, dt)) / h
         if "offset" in self.own:
             u = u + self.own["offset"]["level"]
@@ -337,10 +347,9 @@ class _Drive:
 
     def _integral(self, t: np.ndarray, dt: float) -> np.ndarray:
         """Of the commands from the first sample to t (L,); before it the first one was held for ever."""
-        held, sums = np.array(self.held), np.array(self.sums)
-        k = np.clip(np.floor(t / dt + 1e-9).astype(int), 0, len(held) - 1)
+        k = np.clip(np.floor(t / dt + 1e-9).astype(int), 0, self.count - 1)
         lane = np.arange(len(t))
-        return sums[k, lane] + (t - k * dt) * held[k, lane]
+        return self.sums[k, lane] + (t - k * dt) * self.held[k, lane]
 
 
 class _Sensor:
@@ -369,7 +378,8 @@ class _Sensor:
             known = self.rate + k * (pull + omega**2 * (z - self.swinging - k * self.rate))
             rate = known / (1.0 + 2.0 * zeta * omega * k + (omega * k) ** 2)
             self.swinging = self.swinging + k * (self.rate + rate)
-            self.before, self.rate, z = z, rate, self.swinging
+            self.before, self.rate = z, rate
+            z = np.where(omega * h < 100.0, self.swinging, z)  # one that fast is none
         self.seen = z
 
     def read(self, noise: Any, resolution: float) -> np.ndarray:

@@ -125,6 +125,7 @@ def test_the_integration_is_of_fourth_order(name):
     assert off[2] < 1e-9 or off[1] / off[2] > 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_effect_is_neutral_at_0_and_seen_at_its_largest_size(name):
     """One lane for each effect and each foreign physics, and one with all of them at size 0."""
@@ -213,11 +214,11 @@ def test_a_shaft_that_rubs_stands_still_exactly_and_slides_with_the_level():
 
 def test_sliding_friction_is_of_second_order_in_the_step():
     dry, ends = {"coulomb@motor": {"level": 0.1}, "stribeck@load": {"level": 0.05, "speed": 20.0}}, []
-    for k in (1, 2, 4, 64):
-        ends.append(held(two_mass.STRANGER._replace(fine=0.002 / k), [5.0], 0.1, 0.002, (20.0, 20.0, 0.05), dry)[-1])
+    for k in (1, 2, 4, 32):
+        ends.append(held(two_mass.STRANGER._replace(fine=0.002 / k), [5.0], 0.05, 0.002, (20.0, 20.0, 0.05), dry)[-1])
     off = [np.linalg.norm((end - ends[-1]) / ends[-1]) for end in ends[:-1]]
-    assert off[0] / off[1] > 3.3
-    assert off[1] / off[2] > 3.3
+    assert off[0] / off[1] > 3.0
+    assert off[1] / off[2] > 3.0
 
 
 def test_friction_of_the_pendulum_acts_on_the_cart_too_and_ends_all_motion():
@@ -227,11 +228,11 @@ def test_friction_of_the_pendulum_acts_on_the_cart_too_and_ends_all_motion():
         30.0,
         0.02,
         (0.0, 0.0, 0.4, 0.0),
-        {"coulomb@swing": {"level": 0.05}, "coulomb@trolley": {"level": 1.0}},
+        {"coulomb@swing": {"level": 0.3}, "coulomb@trolley": {"level": 1.0}},
     )
     assert np.abs(x[-1, [1, 3]]).max() < 1e-6
     q = nominal(crane.STRANGER)
-    assert abs(q["m"] * 9.81 * q["l"] * np.sin(x[-1, 2])) <= 0.05
+    assert abs(q["m"] * 9.81 * q["l"] * np.sin(x[-1, 2])) <= 0.3
 
 
 def test_a_dead_time_of_any_length_keeps_the_integral_of_a_command():
