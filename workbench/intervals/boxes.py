@@ -86,9 +86,8 @@ class BoxProgram:
 
         Raises InfeasibleError.
         """
-        p = len(self.scale)
-        size = float(cost.max()) or 1.0
-        self.solver.change_cost(np.concatenate([np.zeros(p), cost / (self.scale * size)]))
+        p, own = len(self.scale), cost / self.scale
+        self.solver.change_cost(np.concatenate([np.zeros(p), own / (own.max() or 1.0)]))
         x, _ = self.solver.solve()
         factor = self.unit / self.scale
         return ParameterBox(x[:p] * factor, np.maximum(x[p:], 0.0) * factor)

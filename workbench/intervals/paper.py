@@ -85,9 +85,11 @@ def signed_optimum(
     """min cost[0]'radius + cost[1]'|centre|  subject to  side z'centre + reach'|centre| + (|z| + reach)'radius >= rhs.
 
     Rows z, reach (R, n), side, rhs (R); limits: (weights (L, n), bound) keep weights'radius + cost[1]'|centre| <= bound.
-    Variables p, m, radius, b of the module. Raises InfeasibleError, InputError where a parameter runs to LARGE.
+    Variables p, m, radius, b of the module. A binary that is whole to 1e-6 still lets p and m be 1e-6 LARGE at once: only the
+    signs are taken from it, and the linear program with these signs says the rest.
+    Raises InfeasibleError, InputError where a parameter runs to LARGE.
     """
-    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
     n = z.shape[1]
     signed = side[:, None] * z
@@ -105,7 +107,19 @@ def signed_optimum(
     )
     if answer.x is None:
         raise InfeasibleError("no box keeps these samples in the paper's sense")
-    p, m, radius = answer.x[:n], answer.x[n : 2 * n], answer.x[2 * n : 3 * n]
-    if max(p.max(), m.max()) > 0.99 * LARGE:
+    if answer.x[: 2 * n].max() > 0.99 * LARGE:
         raise InputError("a parameter runs to its limit", mend="some regressors do not move: leave their channel out")
-    return ParameterBox(p - m, np.maximum(radius, 0.0))
+    sign = np.where(answer.x[3 * n :] > 0.5, 1.0, -1.0)
+    rows = np.hstack([signed * sign + reach, np.abs(z) + reach])
+    most = [np.append(cost[1], w) for weights, _ in limits for w in weights]
+    exact = linprog(
+        np.append(cost[1], cost[0]),
+        np.vstack([-rows, *most]),
+        np.concatenate([-rhs, *(np.full(len(weights), limit) for weights, limit in limits)]),
+        bounds=(0.0, None),
+        method="highs-ds",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
+    if exact.x is None:
+        raise InfeasibleError("no box keeps these samples in the paper's sense")
+    return ParameterBox(sign * exact.x[:n], np.maximum(exact.x[n:], 0.0))

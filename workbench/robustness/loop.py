@@ -36,6 +36,7 @@ from workbench.robustness.envelopes import Course
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
 RATE_OF = "rate of "
 FLOOR = 1e-6  # of the largest reachable variance: what a direction of the state counts that nothing reaches
+LOST, ROUNDED = np.log(1e-13), 5  # of the largest number beside it: what rounding leaves of a 0; how often that is looked for
 
 
 class LinearLaw(Loop, Protocol):
@@ -79,6 +80,16 @@ class UncertainLoop:
         return self.A + (self.columns * np.asarray(delta)[..., None, :]) @ self.C
 
     @property
+    def alive(self) -> np.ndarray:
+        """Whether each parameter (p) changes anything: its radius is not 0, it acts on the state, and its z moves with it."""
+        return np.any(self.columns, axis=0) & np.any(self.C, axis=1)
+
+    def only(self, chosen: np.ndarray) -> "UncertainLoop":
+        """The loop with the chosen (p) of its parameters uncertain and the others in the middle of their boxes."""
+        names = tuple(name for name, own in zip(self.parameters, chosen, strict=False) if own)
+        return replace(self, C=self.C[chosen], lam=self.lam[chosen], channel=self.channel[chosen], parameters=names)
+
+    @property
     def radius(self) -> float:
         """Largest modulus of a pole in the middle of the boxes."""
         return float(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0))
@@ -95,6 +106,7 @@ class UncertainLoop:
     def balance(self) -> np.ndarray:
         """T (n n): with T x for x, x'x is a Lyapunov function of the middle in which no direction is much larger than another.
 
+        T x is the same whatever units states, inputs, outputs and parameters are counted in.
         Raises InputError where the middle is not stable.
         """
         from scipy.linalg import solve_discrete_lyapunov
@@ -105,13 +117,41 @@ class UncertainLoop:
                 file="UncertainLoop",
                 mend="another controller, or another model",
             )
-        own = self.columns @ np.ones((self.columns.shape[1], 1)) if self.lam.any() else self.B
-        reached = solve_discrete_lyapunov(self.A, self.B @ self.B.T + own @ own.T)
-        size = np.sqrt(np.maximum(np.diag(reached), FLOOR * np.diag(reached).max()))
-        scaled = self.moved(np.diag(1.0 / size))
-        weight = scaled.C.T @ np.diag(self.lam**2) @ scaled.C
-        P = solve_discrete_lyapunov(scaled.A.T, weight / max(np.trace(weight), 1e-300) + np.eye(len(size)) / len(size))
-        return np.linalg.cholesky(0.5 * (P + P.T)).T / size
+        n, alive = len(self.A), self.alive
+        columns, C = self.columns[:, alive], self.C[alive]
+        unit = units(np.block([[self.A, columns], [C, np.zeros((len(C), len(C)))]]))
+        x, z = unit[:n], unit[n:]
+        A, columns, C = self.A * x[:, None] / x, columns * x[:, None] / z, C * z[:, None] / x
+        reached = solve_discrete_lyapunov(A, columns @ columns.T)
+        most = np.diag(reached).max(initial=0.0)
+        size = np.sqrt(np.maximum(np.diag(reached), FLOOR * most)) if most > 0.0 else np.ones(n)
+        A, C = A * size / size[:, None], C * size
+        weight = C.T @ C
+        P = solve_discrete_lyapunov(A.T, weight / max(np.trace(weight), 1e-300) + np.eye(n) / n)
+        return np.linalg.cholesky(0.5 * (P + P.T)).T / size * x
+
+
+def units(M: np.ndarray) -> np.ndarray:
+    """d (n) > 0 with d_i M_ij / d_j as near to 1 as can be: the least sum of (log |M_ij| + log d_i - log d_j)^2.
+
+    Whoever counts x_i of x = M x in other units gets the same numbers d_i M_ij / d_j. What rounding left of a 0 does not count.
+    """
+    with np.errstate(divide="ignore"):
+        size = np.log(np.abs(M))
+    np.fill_diagonal(size, -np.inf)
+    log_d = np.zeros(len(M))
+    for _ in range(ROUNDED):
+        i, j = np.nonzero(np.isfinite(size))
+        rows = np.zeros((len(i), len(M)))
+        rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = 1.0, -1.0
+        log_d = np.linalg.lstsq(rows, -size[i, j], rcond=None)[0]
+        scaled = size + log_d[:, None] - log_d
+        largest = np.minimum(scaled.max(axis=1)[:, None], scaled.max(axis=0))
+        left = np.isfinite(size) & (scaled < largest + LOST)
+        if not left.any():
+            break
+        size[left] = -np.inf
+    return np.exp(log_d)
 
 
 @record

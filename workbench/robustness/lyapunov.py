@@ -50,6 +50,15 @@ class ScheduledLoop:
     columns: np.ndarray = field("M n p")
     C: np.ndarray = field("p n")
 
+    @property
+    def alive(self) -> np.ndarray:
+        """Whether each parameter (p) changes anything, anywhere."""
+        return np.any(self.columns, axis=(0, 1)) & np.any(self.C, axis=1)
+
+    def only(self, chosen: np.ndarray) -> "ScheduledLoop":
+        """The loop with the chosen (p) of its parameters uncertain and the others in the middle of their boxes."""
+        return ScheduledLoop(self.nodes, self.A, self.columns[..., chosen], self.C[chosen])
+
     def at(self, rho: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (.., n, n) and columns (.., n, p) of the quadratics at schedule values (..), which must lie within the nodes."""
         cell = np.clip(np.searchsorted(self.nodes, rho, side="right") - 1, 0, len(self.nodes) - 2)
@@ -79,14 +88,15 @@ def scheduled_loop(
     loops = [at(float(value)).moved(own) for value in grid]
     A, columns, C = np.array([loop.A for loop in loops]), np.array([loop.columns for loop in loops]), loops[0].C
     for value, loop in zip(grid, loops, strict=True):
-        if np.abs(loop.C - C).max() > QUADRATIC * np.abs(C).max():
+        if (np.abs(loop.C - C) > QUADRATIC * np.abs(C).max(axis=1, keepdims=True)).any():
             raise InputError(f"z is another function of the state at {value:g}", file="scheduled_loop")
     found = ScheduledLoop(rho, A, columns, C)
+    sizes = np.abs(A).max(), np.abs(columns).max(axis=(0, 1))  # every parameter has units of its own
     for cell, share in itertools.product(range(len(rho) - 1), TRIED):
         value = float(rho[cell] + share * (rho[cell + 1] - rho[cell]))
         between = at(value).moved(own)
-        for quadratic, true in zip(found.at(np.array(value)), (between.A, between.columns), strict=True):
-            if np.abs(quadratic - true).max() > QUADRATIC * max(np.abs(true).max(), 1e-300):
+        for quadratic, true, size in zip(found.at(np.array(value)), (between.A, between.columns), sizes, strict=True):
+            if (np.abs(quadratic - true) > QUADRATIC * size).any():
                 raise InputError(
                     f"the loop is not quadratic between {rho[cell]:g} and {rho[cell + 1]:g}",
                     file="scheduled_loop",
@@ -106,12 +116,16 @@ class ScheduledCertificate:
     D: np.ndarray = field("cells 6 p", low=0.0)
 
     def holds(self, loop: ScheduledLoop) -> bool:
-        """Whether that is proved in outward-rounded arithmetic, for the quadratics through the loop's numbers."""
-        K, n, p = len(loop.nodes), loop.A.shape[1], len(loop.C)
+        """Whether that is proved in outward-rounded arithmetic, for the quadratics through the loop's numbers.
+
+        Parameters that change nothing need no multipliers.
+        """
+        K, n, p, alive = len(loop.nodes), loop.A.shape[1], len(loop.C), loop.alive
         if self.P.shape != (K, n, n) or self.W.shape != (K - 1, n, n) or self.D.shape != (K - 1, DEGREE + 1, p):
             return False
         if any(not np.array_equal(M, M.swapaxes(1, 2)) for M in (self.P, self.W)) or not positive_definite(self.P).all():
             return False
+        loop, D = loop.only(alive), self.D[..., alive]
         P, W = exact(self.P), exact(self.W)
         if self.rate > 0.0:
             slope = (P[1:] - P[:-1]) / (exact(loop.nodes[1:]) - loop.nodes[:-1])[:, None, None] * self.rate
@@ -123,8 +137,8 @@ class ScheduledCertificate:
         M = [_beside(A, B * self.kappa) for A, B in zip(hull(exact(loop.A)), hull(exact(loop.columns)), strict=True)]
         ends = P[:-1], P[1:]
         for k in range(DEGREE + 1):
-            first = (ends[0] * (DEGREE - k) + ends[1] * k) / DEGREE - loop.C.T @ (exact(self.D[:, k])[:, :, None] * loop.C)
-            block = _cornered(first, self.D[:, k])
+            first = (ends[0] * (DEGREE - k) + ends[1] * k) / DEGREE - loop.C.T @ (exact(D[:, k])[:, :, None] * loop.C)
+            block = _cornered(first, D[:, k])
             for end, i, j, share in products(k):
                 block = block - _transposed(M[i]) @ ((ends[end] + W) @ M[j]) * share.numerator / share.denominator
             if not positive_definite(block).all():
@@ -167,12 +181,13 @@ def _reaching(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertif
 
         [R - kappa^2 C'E C, -S; -S', E - T],   so that kappa^2 C'E C < R - S (E - T)^-1 S' says how far it reaches.
     """
+    alive = loop.alive
+    loop = loop.only(alive)
     K, n, p = len(loop.nodes), loop.A.shape[1], len(loop.C)
     width = np.diff(loop.nodes)
     if not rate >= 0.0:
         raise InputError(f"rate {rate:g} a sample", file="certificate", mend="0 or more, in units of the schedule")
     size = np.linalg.norm(loop.C, axis=1)  # z of size 1: multipliers of one order
-    size[size == 0.0] = 1.0
     C = loop.C / size[:, None]
     M = np.concatenate([np.stack(hull(part), axis=1) for part in (loop.A, kappa * loop.columns * size)], axis=3)
     E = symmetric(n)
@@ -228,7 +243,7 @@ def _reaching(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertif
         into = np.linalg.inv(np.linalg.cholesky(0.5 * (rest + rest.mT))) @ C.T * np.sqrt(D[:, k])[:, None, :]
         reached = min(reached, float(np.linalg.norm(into, 2, axis=(1, 2)).max()) ** -1)
     reached *= 1.0 - INSIDE
-    return ScheduledCertificate(reached, rate, P, W, reached**2 * D / size**2)
+    return ScheduledCertificate(reached, rate, P, W, reached**2 * D / size**2 @ np.eye(len(alive))[alive])
 
 
 def moves(nodes: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -44,7 +44,7 @@ EDGE = 1.0 - 1e-6  # of a frozen margin, at which no edge may be lost
 LENGTHS = (*range(1, 26), 30, 36, 43, 52, 62, 74, 89, 107, 128, 154, 184)  # samples of a periodic sequence, at first
 LONGEST, NEAR = 200, 0.1  # by how much lengths differ that are tried beside the best one
 LOWER = 0.995  # ratio of two margins from which it is tried again
-MOST = 1e6  # a margin beyond is none
+MOST = 1e6  # times what small gains tell: a margin beyond is none
 STARTS, PARTS = 3, 8  # random sequences of each length; pieces of those that move slowly
 SWEEPS, PART, LEAST = 12, 0.3, 0.02  # steps of one, see `_improved`
 CLOSE, ROUGH = 1.03, 1.1  # ratios of bounds at which a search ends, and one that another goes on from
@@ -78,11 +78,13 @@ class Certificate:
     steps: int = 1
 
     def holds(self, loop: UncertainLoop) -> bool:
-        """Whether that is proved of `loop`, in outward-rounded arithmetic."""
+        """Whether that is proved of `loop`, in outward-rounded arithmetic; parameters that change nothing need no multiplier."""
+        alive = loop.alive
+        loop, D = loop.only(alive), self.D
         if self.P.shape != loop.A.shape or not np.array_equal(self.P, self.P.T) or not positive_definite(self.P):
             return False
         P, B = exact(self.P), exact(loop.B[:, loop.channel.astype(int)]) * (exact(loop.lam) * self.kappa)
-        if self.D is None:
+        if D is None:
             if self.steps * len(loop.lam) > MOST_CORNERS:
                 return False
             A = whole = exact(loop.A) + (B * corners(len(loop.lam))[:, None, :]) @ loop.C
@@ -90,9 +92,9 @@ class Certificate:
                 whole = A[:, None] @ whole
                 whole = Interval(whole.low.reshape(-1, *P.shape), whole.high.reshape(-1, *P.shape))
             return bool(positive_definite(P - _transposed(whole) @ (P @ whole)).all())
-        if self.D.shape != loop.lam.shape or not (self.D >= 0.0).all():
+        if D.shape != alive.shape or not (D >= 0.0).all():
             return False
-        return falls(P, P, loop.A, B, loop.C, self.D)
+        return falls(P, P, loop.A, B, loop.C, D[alive])
 
 
 @record
@@ -128,12 +130,38 @@ class Margin:
 
 def margin(loop: UncertainLoop, seed: int = 0) -> Margin:
     """Both bounds of the margin of a loop, and its frozen margin. Raises InputError for a loop that is unstable as it is."""
-    own = loop.balanced()
-    if not own.lam.any():
+    alive = loop.alive
+    if not alive.any():
         raise InputError("no parameter is uncertain", file="UncertainLoop", mend="every margin is infinite: nothing to check")
+    balanced = loop.balanced()
+    own = balanced.only(alive)
+    unit = _small_gain(own)
+    own = replace(own, lam=own.lam * unit)
     frozen = frozen_margin(own)
     worst = falsified(own, frozen, seed)
-    return Margin(own, certified(own, worst), worst, frozen)
+    best = certified(own, worst)
+
+    def whole(values: np.ndarray) -> np.ndarray:
+        """Values (.., of the parameters that change something), and 0 for the others."""
+        return values @ np.eye(len(alive))[alive]
+
+    return Margin(
+        balanced,
+        replace(best, kappa=best.kappa * unit, D=None if best.D is None else whole(best.D)),
+        replace(worst, kappa=worst.kappa * unit, delta=whole(worst.delta)),
+        replace(frozen, kappa=frozen.kappa * unit, delta=whole(frozen.delta)),
+    )
+
+
+def _small_gain(loop: UncertainLoop) -> float:
+    """The power of 2 next to the kappa at which the largest gains between parameters have a loop gain of 1: a margin's order.
+
+    1 where no parameter acts on itself by way of others.
+    """
+    omega = np.concatenate([[0.0, np.pi], np.abs(np.angle(np.linalg.eigvals(loop.A)))])
+    x = np.linalg.solve(np.exp(1j * omega)[:, None, None] * np.eye(len(loop.A)) - loop.A, loop.columns.astype(complex))
+    gain = np.abs(np.linalg.eigvals(np.abs(loop.C @ x).max(axis=0))).max()
+    return float(2.0 ** -np.round(np.log2(gain))) if gain > 0.0 else 1.0
 
 
 def corners(p: int) -> np.ndarray:
@@ -312,9 +340,13 @@ def _search(
 
 
 def _by_multipliers(loop: UncertainLoop, kappa: float) -> Certificate | None:
-    """P, D and t with the block of the module >= t diag(1, 0), t as large as can be; trace P = n."""
+    """P, D and t with the block of the module >= t diag(1, 0), t as large as can be; trace P = n.
+
+    In the program every z has a row of size 1, so that its multipliers are of the size of P in whatever unit z is.
+    """
     n, p = len(loop.A), len(loop.lam)
-    A, B, C = loop.A, kappa * loop.columns, loop.C
+    unit = np.linalg.norm(loop.C, axis=1)
+    A, B, C = loop.A, kappa * loop.columns * unit, loop.C / unit[:, None]
     E, G = symmetric(n), np.zeros((p, p, p))
     G[np.arange(p), np.arange(p), np.arange(p)] = 1.0
     size = len(E) + p + 1
@@ -331,7 +363,7 @@ def _by_multipliers(loop: UncertainLoop, kappa: float) -> Certificate | None:
     x = maximise(np.eye(size)[-1], [Block(np.zeros((n + p, n + p)), F, np.arange(size))], (trace, np.array([float(n)])))
     if x is None:
         return None
-    return Certificate(kappa, np.tensordot(x[: len(E)], E, 1), np.maximum(x[len(E) : -1], 0.0))
+    return Certificate(kappa, np.tensordot(x[: len(E)], E, 1), np.maximum(x[len(E) : -1], 0.0) / unit**2)
 
 
 class _Corners:

@@ -283,13 +283,13 @@ def _furthest(loop: ScheduledLoop, rate: float, slope: np.ndarray) -> np.ndarray
     if L == 1:
         return np.where(slope >= 0.0, loop.nodes[-1], loop.nodes[0])
     steps = sparse.block_diag([np.roll(np.eye(L), 1, axis=1) - np.eye(L)] * S, format="csr")
-    size = np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-300)
-    found = linprog(
+    size, range_of = np.maximum(np.abs(slope).max(axis=1, keepdims=True), 1e-300), float(np.ptp(loop.nodes))
+    found = linprog(  # of the share of the range, whatever unit the schedule has
         -(slope / size).ravel(),
         sparse.vstack([steps, -steps]),
-        np.full(2 * S * L, rate),
-        bounds=(loop.nodes[0], loop.nodes[-1]),
+        np.full(2 * S * L, rate / range_of),
+        bounds=(0.0, 1.0),
         method="highs-ds",
     )
-    far = np.full(S * L, loop.nodes[0]) if found.x is None else np.clip(found.x, loop.nodes[0], loop.nodes[-1])
-    return far.reshape(S, L)
+    share = np.zeros(S * L) if found.x is None else np.clip(found.x, 0.0, 1.0)
+    return (loop.nodes[0] + range_of * share).clip(*loop.nodes[[0, -1]]).reshape(S, L)

@@ -30,10 +30,10 @@ def plant(N, seed, *, error=ERROR, spread=0.1, ts=None):
     return y, u, y + error * random.uniform(-1, 1, N), u + error * random.uniform(-1, 1, N)
 
 
-def measured(structure, N=80, seed=0, *, error=ERROR, scale=1.0):
+def measured(structure, N=80, seed=0, *, error=ERROR, scale=1.0, of_u=1.0):
     _, _, y, u = plant(N, seed, error=error)
-    e = Experiment.from_arrays("a", 0.1, inputs={"u": u}, outputs={"y": scale * y})
-    return samples(structure, e, "y", ["u"], output_error=scale * error, input_error=error)
+    e = Experiment.from_arrays("a", 0.1, inputs={"u": of_u * u}, outputs={"y": scale * y})
+    return samples(structure, e, "y", ["u"], output_error=scale * error, input_error=of_u * error)
 
 
 def by_hand(z, y, r, e):
