@@ -1,14 +1,15 @@
 """From an identified LPV model to a scheduled PID whose frozen loops keep their bounds over the whole schedule.
 
 First every knot alone, which says what can be reached there; then one program for all, with the surface's coefficients as
-variables, that brings every point as near as it can to that. Then the margins are computed anew with python-control, ten times
-finer in frequency and four times finer in the schedule; where they fail, the point and the frequency join the program. A law
-that does not keep its bounds there is refused.
+variables, that brings every point as near as it can to that. Then the margins are computed anew, between all frequencies and
+four times finer in the schedule; where they fail, the point and the frequency join the program. A law that does not keep its
+bounds there is refused.
 
 Frozen margins say nothing about a schedule that moves fast; that is a matter of robustness, not of this design.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,9 @@ from controllers.tuning import DEFAULT, Bounds, Tuned, tune
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear
 from workbench.records import field, record
+from workbench.robustness.frequency import Closed, System, delay_margin, first_reaching, peak
+from workbench.robustness.loop import check_law
 
-FINER = 10  # times as many frequencies when the margins are checked
 BETWEEN = 4  # schedule values checked per value in the program
 ROOM = 5e-3  # by which the programs keep the bounds more than asked, for what lies between
 ENOUGH = 2e-3  # gain of a program below which a design is done
@@ -54,13 +56,13 @@ class FrozenPoint:
 
 @record
 class Margins:
-    """Peaks over frequency of the frozen loops at n schedule values, computed with python-control.
+    """Peaks over frequency of the frozen loops at n schedule values, to a share of 1e-6.
 
     sensitivity, complementary: spectral norms of S and T at the loop broken as the bounds say; effort: |Q| as a multiple of
     1 / sigma_min(P(0)); loops (n, nu): |S_ii| with one loop broken at the plant input and the others closed; radius: largest
     modulus of a closed-loop pole; bandwidth [rad/s]: where |S| first reaches 1 / sqrt(2); frequencies (n, 3) [rad/s]: where |S|,
-    |T| and |Q| peak; delay (n, nu) [s]: how much later one command may act before its loop is lost, the others closed;
-    0 where it is lost already.
+    |T| and |Q| peak, within `frequencies`; delay (n, nu) [s]: how much later one command may act before its loop is lost, the
+    others closed. A loop that is lost has bandwidth and delay 0, and no peaks worth the name.
     """
 
     rho: np.ndarray = field("n")
@@ -176,63 +178,54 @@ def margins_of(
     bounds: Bounds = DEFAULT,
     scale: np.ndarray | None = None,
 ) -> Margins:
-    """Margins of a law on a model's frozen loops, by python-control; bounds say where the loop is opened."""
-    import control
-
+    """Margins of a law on a model's frozen loops, between all frequencies; bounds say where the loop is opened."""
     scale = np.ones(len(model.outputs)) if scale is None else scale
-    omega = frequencies(model.dt, FINER)
+    lowest, highest = frequencies(model.dt)[[0, -1]]
     rows = []
     for rho in rhos:
-        plant: Any = model.to_control(rho)
-        own: Any = law.at(rho)
-        ny, nu = plant.D.shape
-        answer: Any = control.StateSpace(own.A, -own.B[:, ny:], own.C, -own.D[:, ny:], law.dt)  # what the law makes of -y
-        z = np.exp(1j * omega * model.dt)
-        P, K = (np.moveaxis(np.asarray(system(z, squeeze=False)), 2, 0) for system in (plant, answer))
-        P, K = P / scale[:, None], K * scale
-        opened, output = np.linalg.inv(np.eye(nu) + K @ P), np.linalg.inv(np.eye(ny) + P @ K)
-        S = opened if bounds.broken == "input" else output
-        norms = np.stack([np.linalg.norm(M, 2, axis=(1, 2)) for M in (S, np.eye(S.shape[1]) - S, K @ output)])
-        steady = np.real(np.asarray(plant(1.0, squeeze=False))) / scale[:, None]
-        slow = np.nonzero(norms[0] > np.sqrt(0.5))[0]
-        radius = np.abs(plant.feedback(answer).poles()).max()
+        loop = closed_loop(law, model, rho, scale)
+        S = loop.input_sensitivity if bounds.broken == "input" else loop.output_sensitivity
+        peaks = [peak(system) for system in (S, S.less(1.0), loop.effort)]
+        A, B, C, D = model.freeze(rho)
+        steady = (C @ np.linalg.solve(np.eye(len(A)) - A, B) + D) / scale[:, None]
+        alone, lost = [loop.alone(i) for i in range(loop.nu)], not loop.system.stable
         rows.append({
             "rho": 0.0 if rho is None else rho,
-            "sensitivity": norms[0].max(),
-            "complementary": norms[1].max(),
-            "effort": norms[2].max() * np.linalg.svd(steady, compute_uv=False)[ny - 1],
-            "loops": np.abs(np.einsum("wii->wi", opened)).max(axis=0),
-            "radius": radius,
-            "bandwidth": omega[slow[0]] if len(slow) else omega[-1],
-            "delay": delay_margins(1.0 / np.einsum("wii->wi", opened) - 1.0, omega) if radius < 1.0 else np.zeros(nu),
-            "frequencies": omega[norms.argmax(axis=1)],
+            "sensitivity": peaks[0].gain,
+            "complementary": peaks[1].gain,
+            "effort": peaks[2].gain * np.linalg.svd(steady, compute_uv=False)[len(C) - 1],
+            "loops": np.array([peak(own).gain for own in alone]),
+            "radius": np.abs(loop.system.poles).max(),
+            "bandwidth": 0.0 if lost else first_reaching(S, np.sqrt(0.5)),
+            "delay": np.array([0.0 if lost else delay_margin(own) for own in alone]),
+            "frequencies": np.clip([found.omega for found in peaks], lowest, highest),
         })  # fmt: skip
     return Margins(**{key: np.array([row[key] for row in rows]) for key in rows[0]})
 
 
-def delay_margins(L: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """(pi + arg L) / omega at the crossings |L| = 1, the least of each loop (nu,) in s; infinite where |L| stays below 1.
+def closed_loop(law: ScheduledPID, model: LPVModel, rho: float | None, scale: np.ndarray | float = 1.0) -> Closed:
+    """The frozen loop of a law: its commands and measurements in its own order, measurements in units of `scale` (ny)."""
+    check_law(model, law)
+    A, B, C, D = model.freeze(rho)
+    u = [[c.name for c in model.inputs].index(name) for name in law.actuated]
+    y = [[c.name for c in model.outputs].index(name) for name in law.measured]
+    size = np.broadcast_to(np.asarray(scale, dtype=float), len(C))[y]
+    plant = System(A, B[:, u], C[y] / size[:, None], D[np.ix_(y, u)] / size[:, None], model.dt)
+    answer = feedback_of(law, rho)
+    return Closed.of(plant, replace(answer, B=answer.B * size, D=answer.D * size))
 
-    L (N, nu) at omega (N,) of a stable loop, the phase between -2 pi and 0. Exact for delays of whole samples, between them as in
-    continuous time. 0 where |L| is 1 or more at the highest frequency: the delay turns such a loop as fast as you like.
-    """
-    found = np.where(np.abs(L[-1]) >= 1.0, 0.0, np.inf)
-    for i, own in enumerate(L.T):
-        size = np.log(np.abs(own))
-        for k in np.flatnonzero((size[:-1] > 0.0) != (size[1:] > 0.0)):
-            share = size[k] / (size[k] - size[k + 1])
-            at = omega[k] + share * (omega[k + 1] - omega[k])
-            phase = np.angle(own[k]) + share * np.angle(own[k + 1] / own[k])
-            found[i] = min(found[i], (phase + np.pi) % (2.0 * np.pi) / at)
-    return found
+
+def feedback_of(law: ScheduledPID, rho: float | None) -> System:
+    """What a frozen law makes of -y."""
+    own: Any = law.at(rho)
+    reads = slice(len(law.references), None)
+    return System(own.A, -own.B[:, reads], own.C, -own.D[:, reads], law.dt)
 
 
 def loops_of(law: ScheduledPID, model: LPVModel, rho: float | None, omega: np.ndarray) -> np.ndarray:
     """L_i(exp(j omega dt)), (N, nu): loop i opened at the plant input, the others closed; L_i = 1 / S_ii - 1."""
-    A, B, C, D = model.freeze(rho)
-    P = FrozenPoint(rho, model.dt, A, B, C, D, np.ones(len(C))).response(omega)
-    S = np.linalg.inv(np.eye(B.shape[1]) + law.response(omega, rho) @ P)
-    return 1.0 / np.einsum("wii->wi", S) - 1.0
+    loop = closed_loop(law, model, rho)
+    return np.stack([1.0 / loop.alone(i).at(omega)[:, 0, 0] - 1.0 for i in range(loop.nu)], axis=1)
 
 
 def _interface(model: LPVModel) -> tuple:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from controllers.files import controller_content, controller_of
-from controllers.pid_design import frequencies, worst_margins
+from controllers.pid_design import feedback_of, worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import DEFAULT
 from studies.arguments import Chosen, choose_controller, choose_plant, run_folder
@@ -33,9 +33,10 @@ from workbench.report.blocks import Block, Provenance, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.envelopes import Course, kernel
 from workbench.robustness.falsify import Worst, at_random, fitted_box, load_counterexample, same, tolerance_box, worst_plant
+from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, load_limits, resolved
 from workbench.robustness.loop import RATE_OF, UncertainLoop, check_law, driven, interpolated, machine_with_errors
-from workbench.robustness.margins import Falsified, Margin, disk_margin, margin
+from workbench.robustness.margins import Falsified, Margin, margin
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence
 from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
@@ -348,14 +349,13 @@ def _sensitivity(model: LPVModel, law: ScheduledPID, asked: float, of: str) -> V
 
 def _disk(left: Open, law: ScheduledPID, asked: float, nodes: int, of: str) -> Verdict:
     """The least disk margin at the plant input, of constant parameters that no record refutes."""
-    model, omega, least, middle = left.model, frequencies(left.model.dt, 3), (np.inf, None), np.inf
+    model, least, middle = left.model, (np.inf, None), np.inf
     tried = np.vstack([np.zeros((1, left.possible.shape[1])), left.possible])
     for rho in [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist():
-        machine, K = machine_with_errors(model, left.errors, rho), law.response(omega, rho)
-        whole = driven(machine, law, rho)
-        stable = np.abs(np.linalg.eigvals(whole.undriven().at(tried[:, whole.moving]))).max(axis=1) < 1.0
+        machine, answer = machine_with_errors(model, left.errors, rho), feedback_of(law, rho)
         for number, delta in enumerate(tried):
-            own = disk_margin(K @ machine.response(omega, law.actuated, law.measured, delta)) if stable[number] else 0.0
+            S = Closed.of(machine.at(delta, law.actuated, law.measured), answer).input_sensitivity
+            own = disk_margin(S, least[0] if number else np.inf) if S.stable else 0.0
             middle = min(middle, own) if number == 0 else middle
             least = min(least, (own, rho), key=lambda pair: pair[0]) if number else least
     where = f", at {_told(model, least[1])}" if least[1] is not None else ""

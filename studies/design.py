@@ -11,7 +11,16 @@ from controllers.export import gain_csv
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
-from controllers.pid_design import Margins, PIDDesign, Structure, design_pid, frequencies, loops_of, worst_margins
+from controllers.pid_design import (
+    Margins,
+    PIDDesign,
+    Structure,
+    closed_loop,
+    design_pid,
+    frequencies,
+    loops_of,
+    worst_margins,
+)
 from controllers.scheduled_pid import Gains, ScheduledPID
 from controllers.tube import taken
 from controllers.tuning import DEFAULT, Bounds
@@ -31,6 +40,7 @@ from workbench.report.page import write_report
 Say = Callable[[str], None]
 LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}  # options of the commands, and what none given means
 POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn
+WIDTHS = np.array([-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0, 4.0])  # of a peak, at which it is drawn
 FROZEN, STEP = 15, 4.0  # schedule values at which one can look at a loop; s of a step response
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 KNOTS = 5
@@ -295,7 +305,7 @@ def design_pictures(
     name, law = list(laws.items())[-1]
     shown = [rho[i] for i in np.unique(np.linspace(0, len(rho) - 1, FAMILY).round().astype(int))]
     titles = [model.name if schedule is None else f"{schedule.name} = {at:.4g} {schedule.unit}".rstrip() for at in shown]
-    opened = [loops_of(law, model, at, frequencies(model.dt, 5)) for at in shown]
+    opened = [loops_of(law, model, at, _drawn_at(law, model, [at])) for at in shown]
     family = figures.nyquist(
         f"Nyquist curves, {name}",
         {
@@ -325,7 +335,7 @@ def design_pictures(
             "Margins over the schedule",
             over,
             curves,
-            "Frozen loops of the identified model, by python-control; asked: the bound.",
+            "Frozen loops of the identified model, the largest of all frequencies; asked: the bound.",
         ),
         figures.over_schedule("Gains over the schedule", over, surfaces),
         family,
@@ -333,10 +343,18 @@ def design_pictures(
     )
 
 
+def _drawn_at(law: ScheduledPID, model: LPVModel, rhos: Sequence[float | None] | np.ndarray) -> np.ndarray:
+    """Frequencies at which curves are drawn: evenly, and across every peak."""
+    omega = frequencies(model.dt, 5)
+    across = np.concatenate([closed_loop(law, model, rho).system.around(WIDTHS) for rho in rhos])
+    return np.union1d(omega, across[(across > omega[0]) & (across < omega[-1])])
+
+
 def _frozen(name: str, law: ScheduledPID, model: LPVModel) -> tuple[Block, ...]:
     """What a loop does at every schedule value: sensitivities over frequency, and steps of each set-point by one unit."""
     assert model.schedule is not None
-    rho, omega = np.linspace(model.span[0], model.span[1], FROZEN), frequencies(model.dt, 5)
+    rho = np.linspace(model.span[0], model.span[1], FROZEN)
+    omega = _drawn_at(law, model, rho)
     opened = np.stack([loops_of(law, model, at, omega) for at in rho])  # (R, N, nu)
     sensitivities = {}
     for i, u in enumerate(law.actuated):

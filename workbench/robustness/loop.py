@@ -32,6 +32,7 @@ from workbench.lpv import LPVModel, check_no_feedthrough
 from workbench.physics.controller import Loop
 from workbench.records import field, record
 from workbench.robustness.envelopes import Course
+from workbench.robustness.frequency import System
 
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
 RATE_OF = "rate of "
@@ -177,15 +178,12 @@ class Machine:
     parameters: tuple[str, ...]
     dt: float = field("", unit="s")
 
-    def response(self, omega: np.ndarray, inputs: Sequence[str], outputs: Sequence[str], delta: np.ndarray | None = None):
-        """From inputs to outputs at omega [rad/s], (N, ny, nu), with constant parameters delta (p)."""
-        d = np.zeros(len(self.lam)) if delta is None else delta
-        C = self.C + np.eye(len(self.C))[:, self.channel.astype(int)] @ ((self.lam * d)[:, None] * self.T)
-        A = self.A + self.By @ C
+    def at(self, delta: np.ndarray, inputs: Sequence[str], outputs: Sequence[str]) -> System:
+        """From inputs to outputs, with constant parameters delta (p)."""
+        C = self.C + np.eye(len(self.C))[:, self.channel.astype(int)] @ ((self.lam * delta)[:, None] * self.T)
         B = self.Bu[:, [self.inputs.index(name) for name in inputs]]
-        z = np.exp(1j * np.asarray(omega) * self.dt)
-        x = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B.astype(complex), (len(z), *B.shape)))
-        return C[[self.outputs.index(name) for name in outputs]] @ x
+        seen = [self.outputs.index(name) for name in outputs]
+        return System(self.A + self.By @ C, B, C[seen], np.zeros((len(seen), B.shape[1])), self.dt)
 
 
 @record

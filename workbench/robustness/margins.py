@@ -286,19 +286,6 @@ def lost_on_an_edge(loop: UncertainLoop, kappa: float) -> np.ndarray | None:
     return None
 
 
-def disk_margin(L: np.ndarray) -> float:
-    """min over omega of 1 / largest singular value of (S - T) / 2,  S = (I + L)^-1, T = I - S,  for L (N, nu, nu).
-
-    Every command may be multiplied by its own complex number from the disk through (2 - a) / (2 + a) and (2 + a) / (2 - a), a the
-    margin, at once: a gain or a phase, or both. For one command it is the disk margin itself, for several no more than that of
-    numbers that differ from command to command. Seiler, Packard, Gahinet, "An introduction to disk margins", IEEE Control Systems
-    40 (2020).
-    """
-    one = np.eye(L.shape[1])
-    S = np.linalg.inv(one + L)
-    return float(1.0 / np.linalg.svd(S - 0.5 * one, compute_uv=False)[:, 0].max())
-
-
 # ---- parameters that move: certified --------------------------------------------------------------------------------------
 
 

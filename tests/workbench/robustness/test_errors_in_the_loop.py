@@ -144,5 +144,5 @@ def test_a_response_is_that_of_the_run_with_constant_parameters(known):
         s = machine.A @ s + machine.Bu[:, 2] * u[k] + machine.By @ y[k]
     late = slice(n // 2, None)
     turned = np.exp(1j * omega * DT * np.arange(n))[late]
-    found = machine.response(np.array([omega]), ["u3"], ["y2", "y1"], delta)[0, :, 0]
+    found = machine.at(delta, ["u3"], ["y2", "y1"]).at(np.array([omega]))[0, :, 0]
     np.testing.assert_allclose(np.real(np.outer(turned, found)), y[late][:, ::-1], atol=1e-6)

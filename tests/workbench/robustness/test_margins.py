@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import control
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from workbench.robustness.margins import (
     Certificate,
     _by_multipliers,
     corners,
-    disk_margin,
     falsified,
     frozen_margin,
     lost_on_an_edge,
@@ -337,20 +335,3 @@ def test_odd_loops_are_refused():
         margin(UncertainLoop([[0.5]], [[1.0]], [[1.0]], [0.0], [0]))
     with pytest.raises(InputError, match="no parameters were found"):
         margin(UncertainLoop(0.5 * np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]], [0.1], [0]))
-
-
-def test_disk_margins_are_those_of_python_control():
-    """A sampled loop of one command; and two that do not meet have the smaller one."""
-    omega = np.linspace(0.01, np.pi, 2000)
-    L = control.tf([0.3, 0.1], [1.0, -1.4, 0.55], 1.0)
-    own = L(np.exp(1j * omega))[:, None, None]
-    expected = control.disk_margins(L, omega)[0]
-    assert disk_margin(own) == pytest.approx(expected, rel=1e-9)
-    both = np.zeros((2000, 2, 2), dtype=complex)
-    both[:, :1, :1], both[:, 1:, 1:] = own, 0.2 * own
-    assert disk_margin(both) == pytest.approx(min(expected, control.disk_margins(0.2 * L, omega)[0]), rel=1e-9)
-    a = expected  # at the edge of the disk the loop is lost: a gain of (2 + a) / (2 - a), or a phase
-    stable = [
-        np.abs(control.feedback(g * L, 1).poles()).max() < 1.0 for g in np.linspace((2 - a) / (2 + a), (2 + a) / (2 - a), 50)
-    ]
-    assert all(stable)

@@ -1,0 +1,216 @@
+"""Peaks, crossings and margins of lightly damped loops, against norms and margins that are computed in other ways."""
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import LinAlgError, block_diag, eigvals, expm, matrix_balance
+from scipy.optimize import brentq
+
+from workbench.robustness.frequency import Closed, System, delay_margin, disk_margin, first_reaching, peak
+
+
+def drawn(random, *, dt, inputs, outputs, damping=(-4.0, 0.0)) -> System:
+    """Some modes of any damping between 10^damping, in coordinates and units that suit nobody; sampled with dt, or dt = 0."""
+    count = int(random.integers(1, 4))
+    parts = []
+    for zeta, omega in zip(10.0 ** random.uniform(*damping, count), 10.0 ** random.uniform(-1.0, 1.0, count), strict=True):
+        real, imag = -zeta * omega, omega * np.sqrt(max(0.0, 1.0 - zeta**2))
+        parts.append(np.array([[real, imag], [-imag, real]]))
+    if random.random() < 0.5:
+        parts.append(np.array([[-(10.0 ** random.uniform(-2.0, 1.0))]]))
+    A = block_diag(*parts)
+    A = expm(A * dt) if dt else A
+    n = len(A)
+    into = random.normal(size=(n, n)) * 10.0 ** random.uniform(-4.0, 4.0, n)[:, None]
+    A, back = into @ A @ np.linalg.inv(into), np.linalg.inv(into)
+    B, C = into @ random.normal(size=(n, inputs)), random.normal(size=(outputs, n)) @ back
+    D = random.normal(size=(outputs, inputs)) * random.integers(0, 2)
+    return System(A, B, C, D, dt)
+
+
+def normed(system: System) -> float:
+    """The norm by bisection: gamma lies above it where the pencil of gamma^2 I - G~G has no eigenvalue on the circle (axis).
+
+    The pencil of Boyd and Balakrishnan as it stands, in z itself, without an inverse and without a frequency.
+    """
+    A, (size, _) = matrix_balance(system.A, permute=False, separate=True)
+    B, C, D = system.B / size[:, None], system.C * size, system.D
+    unit = np.sqrt(np.linalg.norm(B) / np.linalg.norm(C))
+    B, C = B / unit, C * unit
+    n, m = len(A), D.shape[1]
+    one, square, tall = np.eye(n), np.zeros((n, n)), np.zeros((n, m))
+
+    def beyond(gamma):
+        last = np.hstack([D.T @ C, B.T, D.T @ D - gamma**2 * np.eye(m)]) / gamma
+        if system.dt:  # z x = A x + B w, q = z A'q + z C'(C x + D w)
+            M = np.vstack([np.hstack([A, square, B]), np.hstack([square, one, tall]), last])
+            N = np.vstack([np.hstack([one, square, tall]), np.hstack([C.T @ C, A.T, C.T @ D]), np.zeros_like(last)])
+        else:  # s x = A x + B w, s q = -A'q - C'(C x + D w)
+            M = np.vstack([np.hstack([A, square, B]), np.hstack([-C.T @ C, -A.T, -C.T @ D]), last])
+            N = block_diag(one, one, np.zeros((m, m)))
+        try:
+            found = eigvals(M, N)
+        except LinAlgError:  # QZ does not converge on every pencil; the next one is as good
+            return beyond(gamma * (1.0 + 1e-7))
+        found = found[np.isfinite(found)]
+        off = np.abs(np.abs(found) - 1.0) if system.dt else np.abs(found.real) / np.abs(found)
+        return not (off < 1e-9).any()
+
+    low, high = 0.0, 1.0
+    while not beyond(high):
+        high *= 4.0
+    while high - low > 1e-6 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if beyond(middle) else (middle, high)
+    return high
+
+
+def dense(system: System) -> float:
+    """The largest gain on fine grids across every pole, from the definition."""
+    A, n = system.A, len(system.A)
+    poles = np.linalg.eigvals(A).astype(complex)
+    s = np.log(poles) / system.dt if system.dt else poles
+    low, high = system.ends
+    omega = [np.geomspace(low, high, 400)]
+    omega += [np.abs(each.imag) + np.abs(each.real) * np.tan(np.linspace(-1.5, 1.5, 801)) for each in s]
+    omega = np.concatenate(omega)
+    omega = omega[(omega >= low) & (omega <= high)]
+    z = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
+    into = np.linalg.eig(A)[1]
+    modes = (system.C @ into)[None] / (z[:, None, None] - np.linalg.eigvals(A)) @ np.linalg.solve(into, system.B)
+    assert len(poles) == n
+    return float(np.linalg.norm(modes + system.D, 2, axis=(1, 2)).max())
+
+
+def is_the_norm(seed):
+    random = np.random.default_rng(seed)
+    dt = 0.0 if seed % 3 == 0 else float(10.0 ** random.uniform(-1.5, -0.5))
+    inputs, outputs = (1, 1) if seed % 2 else random.integers(1, 4, 2).tolist()
+    calm = drawn(random, dt=dt, inputs=inputs, outputs=outputs, damping=(-2.5, 0.0))  # rounding moves eigenvalues off the circle
+    assert peak(calm).gain == pytest.approx(normed(calm), rel=1e-4)
+    system = drawn(random, dt=dt, inputs=inputs, outputs=outputs)
+    found = peak(system)
+    assert found.gain >= dense(system) * (1.0 - 2e-6)
+    assert system.gain(np.array([found.omega]))[0] == pytest.approx(found.gain, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_peak_is_the_norm(seed):
+    is_the_norm(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 400))
+def test_the_peak_of_many_is_the_norm(seed):
+    is_the_norm(seed)
+
+
+@pytest.mark.parametrize("zeta", [0.5, 1e-2, 1e-5, 1e-8])
+def test_the_peak_of_one_resonance_is_that_of_the_formula(zeta):
+    """1 / (s^2 + 2 zeta s + 1): 1 / (2 zeta sqrt(1 - zeta^2)) at sqrt(1 - 2 zeta^2)."""
+    system = System([[0.0, 1.0], [-1.0, -2.0 * zeta]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], 0.0)
+    found = peak(system)
+    assert found.gain == pytest.approx(1.0 / (2.0 * zeta * np.sqrt(1.0 - zeta**2)), rel=1e-6)
+    assert found.omega == pytest.approx(np.sqrt(1.0 - 2.0 * zeta**2), rel=1e-3)
+
+
+def test_gains_without_resonance_peak_at_the_ends():
+    low = System([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    assert peak(low).gain == pytest.approx(2.0, rel=1e-9)
+    assert peak(System([[-0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)).gain == pytest.approx(2.0, rel=1e-9)
+    assert peak(System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3.0]], 0.1)).gain == pytest.approx(3.0)
+    assert peak(low, least=5.0).gain <= 2.0 + 1e-9
+
+
+# ---- margins of loops -----------------------------------------------------------------------------------------------------
+
+
+def loop(random) -> tuple[System, System]:
+    """A sampled machine with a lightly damped mode, and a law with an integral that keeps it stable."""
+    dt = 0.1
+    while True:
+        plant = drawn(random, dt=dt, inputs=1, outputs=1, damping=(-3.0, -0.5))
+        plant = System(plant.A, plant.B, plant.C, [[0.0]], dt)
+        steady = float((plant.C @ np.linalg.solve(np.eye(len(plant.A)) - plant.A, plant.B))[0, 0])
+        P, integral = random.uniform(0.0, 0.8) / peak(plant).gain, random.uniform(0.05, 0.5) / steady * random.uniform(0.0, 1.0)
+        law = System([[1.0]], [[integral * dt]], [[1.0]], [[P * np.sign(steady)]], dt)
+        if Closed.of(plant, law).system.stable:
+            return plant, law
+
+
+def ss(system: System):
+    return control.ss(system.A, system.B, system.C, system.D, system.dt)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_margins_of_a_loop_are_those_of_python_control(seed):
+    """On a grid that is fine across every pole, with its own interconnection; and one more sample of delay at a time."""
+    plant, law = loop(np.random.default_rng(seed))
+    closed = Closed.of(plant, law)
+    S, dt = closed.input_sensitivity, plant.dt
+    L = ss(law) * ss(plant)
+    omega = np.unique(np.concatenate([np.geomspace(1e-5, np.pi / dt, 4000), S.around(np.tan(np.linspace(-1.55, 1.55, 2001)))]))
+    own = L(np.exp(1j * omega * dt))
+    for system, expected in ((S, 1 / (1 + own)), (S.less(1.0), own / (1 + own)), (closed.output_sensitivity, 1 / (1 + own))):
+        assert peak(system).gain == pytest.approx(np.abs(expected).max(), rel=1e-4)
+    assert peak(closed.effort).gain == pytest.approx(np.abs(ss(law)(np.exp(1j * omega * dt)) / (1 + own)).max(), rel=1e-4)
+    assert disk_margin(S) == pytest.approx(control.disk_margins(L, omega)[0], rel=1e-4)
+    size = np.abs(1 / (1 + own))
+    first = int(np.argmax(size > np.sqrt(0.5)))
+    reached = first_reaching(S, np.sqrt(0.5))
+    if first == 0:
+        assert reached == 0.0
+    else:
+        exact = brentq(lambda w: abs(1 / (1 + L(np.exp(1j * w * dt)))) - np.sqrt(0.5), omega[first - 1], omega[first])
+        assert reached == pytest.approx(exact, rel=1e-6)
+    samples = delay_margin(S) / dt
+    for n in (*range(1, 10), *range(10, 60, 10), int(min(samples, 200.0))):
+        if n < samples:
+            assert later(plant, law, n) < 1.0
+    if samples < 200.0:
+        assert later(plant, law, int(np.ceil(samples))) >= 1.0 - 1e-9
+
+
+def later(plant: System, law: System, n: int) -> float:
+    """Largest modulus of a pole of the loop with n more samples between law and plant."""
+    shift = control.ss(np.eye(n, k=-1), np.eye(n, 1), np.eye(1, n, n - 1), 0.0, plant.dt) if n else 1.0
+    return float(np.abs(control.feedback(ss(plant) * shift * ss(law), 1).poles()).max())
+
+
+def test_a_delay_margin_has_both_its_ends():
+    """0.5 / z never crosses: as late as you like. A gain of 2 at all frequencies is lost with the first sample: not at all."""
+    law = System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]], 0.1)
+    late, direct = System([[0.0]], [[1.0]], [[0.5]], [[0.0]], 0.1), System([[0.0]], [[1.0]], [[0.1]], [[2.0]], 0.1)
+    assert delay_margin(Closed.of(late, law).input_sensitivity) == np.inf
+    assert delay_margin(Closed.of(direct, law).input_sensitivity) == 0.0
+
+
+def test_disk_margins_of_two_commands_that_do_not_meet_are_the_smaller():
+    random = np.random.default_rng(1)
+    (one, first), (other, second) = loop(random), loop(random)
+
+    def both(a, b):
+        return System(*(block_diag(getattr(a, key), getattr(b, key)) for key in "ABCD"), a.dt)
+
+    alone = [disk_margin(Closed.of(*pair).input_sensitivity) for pair in ((one, first), (other, second))]
+    S = Closed.of(both(one, other), both(first, second)).input_sensitivity
+    assert disk_margin(S) == pytest.approx(min(alone), rel=1e-6)
+    assert disk_margin(S, most=0.5 * min(alone)) >= min(alone) * (1.0 - 1e-6)
+    a = alone[0]  # at the edge of the disk the loop is lost: a gain of (2 + a) / (2 - a), or a phase
+    gains = np.linspace((2 - a) / (2 + a), (2 + a) / (2 - a), 50)
+    assert all(np.abs(control.feedback(g * ss(first) * ss(one), 1).poles()).max() < 1.0 for g in gains)
+
+
+def test_a_closed_loop_has_both_sensitivities():
+    """Two commands, three measurements, direct paths on both sides: from the definitions."""
+    random = np.random.default_rng(4)
+    plant, law = (drawn(random, dt=0.2, inputs=a, outputs=b, damping=(-1.0, 0.0)) for a, b in ((2, 3), (3, 2)))
+    closed, omega = Closed.of(plant, law), np.array([0.03, 0.7, 5.0])
+    for w, S, So, Q in zip(
+        omega, closed.input_sensitivity.at(omega), closed.output_sensitivity.at(omega), closed.effort.at(omega), strict=True
+    ):
+        P, K = (ss(system)(np.exp(1j * w * 0.2)) for system in (plant, law))
+        np.testing.assert_allclose(S, np.linalg.inv(np.eye(2) + K @ P), rtol=1e-6)
+        np.testing.assert_allclose(So, np.linalg.inv(np.eye(3) + P @ K), rtol=1e-6)
+        np.testing.assert_allclose(Q, K @ np.linalg.inv(np.eye(3) + P @ K), rtol=1e-6)
+        np.testing.assert_allclose(closed.alone(1).at(np.array([w]))[0, 0, 0], S[1, 1], rtol=1e-9)
