@@ -146,7 +146,10 @@ class ScheduledPID:
         return self.gains_at(rho).u0
 
     def at(self, rho: float | None = None) -> "control.StateSpace":
-        """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y."""
+        """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y.
+
+        Without the z of commands that nothing is integrated for: they stay at 0, and are no pole at 1.
+        """
         import control  # takes a second to import, and only this needs it
 
         Kp, Ki, Kd, Kr, _ = self.gains_at(rho)
@@ -154,11 +157,11 @@ class ScheduledPID:
         a, one = self.Tf / (self.Tf + self.dt), np.eye(ny)
         e, proportional, derivative = (np.hstack([np.diag(weight), -one]) for weight in (np.ones(ny), self.b, self.c))
         new = (1 - a) / self.dt * derivative  # f = before (z, f-, d-) + new (r, y)
-        before = np.hstack([np.zeros((ny, nu)), a * one, -(1 - a) / self.dt * one])
-        integral = np.hstack([np.eye(nu), np.zeros((nu, 2 * ny))])
-        A = np.vstack([integral, before, np.zeros((ny, nu + 2 * ny))])
-        B = np.vstack([self.dt * Ki @ e, new, derivative])
-        C = integral + Kd @ before
+        z = np.eye(nu)[self.Ki.any(axis=(0, 2))]
+        before = np.hstack([np.zeros((ny, len(z))), a * one, -(1 - a) / self.dt * one])
+        A = np.vstack([np.eye(len(z), len(z) + 2 * ny), before, np.zeros((ny, len(z) + 2 * ny))])
+        B = np.vstack([self.dt * z @ Ki @ e, new, derivative])
+        C = np.hstack([z.T, np.zeros((nu, 2 * ny))]) + Kd @ before
         D = Kp @ proportional + Kd @ new + np.hstack([Kr, np.zeros((nu, ny))])
         return control.StateSpace(
             A, B, C, D, self.dt, inputs=[*self.references, *self.measured], outputs=list(self.actuated), name=self.name

@@ -223,15 +223,16 @@ def _stability(
         whole = driven(machine_with_errors(model, errors, rho), law, rho)
         loop = whole.undriven()
         # beyond the boxes themselves nothing is known of what the records leave open: there sequences within them refute
-        constant = None if limits.moving or needed != 1.0 else left.possible[:, whole.moving]
+        moving, constant = limits.moving or needed != 1.0, left.possible[:, whole.moving] if needed >= 1.0 else None
         try:
             own = margin(loop)
         except InputError as reason:
-            verdicts.append(_without_margin(loop, constant, claim, of, folder / f"sequence-{len(verdicts) + 1}.json", reason))
+            path = folder / f"sequence-{len(verdicts) + 1}.json"
+            verdicts.append(_without_margin(loop, constant, moving, claim, of, path, reason))
             continue
         found.append((rho, own))
-        verdict = stability(own, needed, claim, of, possible=constant)
-        if verdict.status is Status.FAILED and (lost := refuting(own, needed, constant)) is not None:
+        verdict = stability(own, needed, claim, of, possible=constant, moving=moving)
+        if verdict.status is Status.FAILED and (lost := refuting(own, needed, constant, moving)) is not None:
             path = folder / f"sequence-{len(verdicts) + 1}.json"
             Growth(claim, own.loop, lost, needed).save(path)
             verdict = _replayed(verdict, path)
@@ -242,10 +243,11 @@ def _stability(
 
 
 def _without_margin(
-    loop: UncertainLoop, constant: np.ndarray | None, claim: str, of: str, path: Path, reason: InputError
+    loop: UncertainLoop, constant: np.ndarray | None, moving: bool, claim: str, of: str, path: Path, reason: InputError
 ) -> Verdict:  # fmt: skip
     """A loop that has no margin: lost in the middle of the boxes, or where the search came to nothing."""
-    tried = np.zeros((1, len(loop.lam))) if constant is None else constant
+    middle = np.zeros((1, len(loop.lam)))
+    tried = middle if constant is None else np.vstack([constant, middle]) if moving else constant
     radii = np.abs(np.linalg.eigvals(loop.at(tried))).max(axis=1)
     worst = int(radii.argmax())
     if radii[worst] < GROWS:
@@ -253,7 +255,7 @@ def _without_margin(
     lost = Falsified(1.0, tried[worst][None], 1.0)
     lost = replace(lost, growth=lost.replay(loop))
     Growth(claim, loop, lost).save(path)
-    who = "the middle of the boxes lets" if constant is None else "constant parameters that no record refutes let"
+    who = "constant parameters that no record refutes let" if tried[worst].any() else "the middle of the boxes lets"
     said = f"{who} a state grow, by {lost.growth:.4g} at every sample"
     return _replayed(Verdict(claim, of, Status.FAILED, 1.0 - lost.growth, "", said), path)
 
@@ -367,9 +369,13 @@ def _disk(left: Open, law: ScheduledPID, asked: float, nodes: int, of: str) -> V
 
 @record
 class _Run:
-    """Set-points (N nr) and the schedule (N) of a run, the bounds asked of it, and what it is called."""
+    """Set-points (N nr) and the schedule (N) of a run, the bounds asked of it, and what it is called.
+
+    initial (nr 2): between which the set-points lie before the run.
+    """
 
     references: np.ndarray = field("N nr")
+    initial: np.ndarray = field("nr 2")
     rho: np.ndarray = field("N")
     bounds: tuple[Bound, ...]
     along: str
@@ -400,7 +406,8 @@ def _prepared(left: Open, law: ScheduledPID, limits: LoopLimits, chosen: Chosen 
         bounds += own
     schedule = model.schedule
     along = "" if schedule is None else f", along {schedule.name} from {rho[0]:.4g} to {rho[-1]:.4g} {schedule.unit}"
-    return _Run(references, rho, tuple(bounds), along)
+    initial = run.rested(law, references[0])
+    return _Run(references, initial, rho, tuple(bounds), along)
 
 
 def _bounds(
@@ -417,12 +424,11 @@ def _bounds(
     stops = _stops(law, len(run.references))
     rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE_OF) for b in (*wanted, *stops) if b.signal.startswith(RATE_OF)))
     noise, model = limits.run.seed is not None, left.model
-    passage = Passage(model, left.errors, controller_content(law), run.rho, run.references, noise, rates)
+    passage = Passage(model, left.errors, controller_content(law), run.rho, run.references, run.initial, noise, rates)
     progress("the loop along the run")
-    possible = None if limits.moving else left.possible
     try:
         own = passage.course(law)
-        kept = bounds_kept(own, wanted, stops, of=of, dt=law.dt, possible=possible, progress=progress)
+        kept = bounds_kept(own, wanted, stops, of=of, dt=law.dt, possible=left.possible, moving=limits.moving, progress=progress)
     except InputError as reason:
         lost = [Verdict(bound.claim, of, Status.UNDECIDED, math.nan, bound.unit, reason.problem) for bound in wanted]
         return [*verdicts, *lost], []
@@ -505,10 +511,10 @@ def _stops(law: ScheduledPID, N: int) -> list[Bound]:
 
 def _broken(own: Course, kept: Kept, passage: Passage, path: Path) -> Path:
     """The file of the run that breaks a bound."""
-    k, bound = kept.sample, kept.bound
-    value = float(kept.v[k, own.number(bound.signal)])
+    k, bound, run = kept.sample, kept.bound, kept.run
+    value = float(run.v[0, k, own.number(bound.signal)])
     low, high = float(bound.low[k]), float(bound.high[k])
-    return Broken(bound.claim, passage, bound.signal, k, value, kept.delta, kept.start, low, high).save(path)
+    return Broken(bound.claim, passage, bound.signal, k, value, run.delta[0], run.before[0], run.share[0], low, high).save(path)
 
 
 def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Channel], dt: float) -> list[Block]:
@@ -519,7 +525,7 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
     for signal in dict.fromkeys(k.bound.signal for k in kept):
         i = own.number(signal)
         mine = [k for k in kept if k.bound.signal == signal]
-        runs = {f"worst for {k.bound.claim.split(': ')[-1]}": k.v[:, i] for k in mine}
+        runs = {f"worst for {k.bound.claim.split(': ')[-1]}": k.run.v[0][:, i] for k in mine}
         limits = {
             f"{side} limit": pick([getattr(k.bound, side) for k in mine], axis=0)
             for side, pick in (("low", np.max), ("high", np.min))
@@ -527,8 +533,9 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
         name = signal.removeprefix(RATE_OF)
         unit = channels[name].unit + "/s" * signal.startswith(RATE_OF)
         caption = (
-            "The band holds every run, whatever the parameters do within their boxes at every sample, while no command is at its "
-            "stop. Coloured: the runs that come nearest to a limit, with parameters that may refute it."
+            "The band holds every run from the rest of any machine of the boxes, whatever the parameters do within them at every "
+            "sample, while no command is at its stop. Coloured: the runs that come nearest to a limit, with parameters that may "
+            "refute it."
         )
         blocks.append(
             figures.guaranteed(

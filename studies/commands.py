@@ -182,6 +182,9 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
             raise InputError("[run] is missing", file=options.limits, mend="give its duration and set-points")
         if found.model is not None:
             raise InputError("--limits runs on a plant", mend="on a model: --setpoint Y=V,..")
+        if run.initial:
+            mend = "it is of the proofs of check on a model; a plant begins as [run.start] says"
+            raise InputError("[run.initial]", file=options.limits, mend=mend)
         scenario = run.scenario(found.plant, law)
         scenario = replace(scenario, seed=seed, start={**scenario.start, **start})
     else:

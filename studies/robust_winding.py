@@ -240,12 +240,15 @@ def _against_random(
 
 
 def _running(own: Course, i: int, run: np.ndarray, random: np.random.Generator, tried: int, changes: int) -> np.ndarray:
-    """The largest deviation so far of random corner sequences; changes: 1 for constant ones, else as many as samples."""
+    """The largest deviation so far of random corner sequences, from the rest with the first of them.
+
+    changes: 1 for constant ones, else as many as samples.
+    """
     best = []
     for _ in range(0, tried, 20):
         delta = random.choice([-1.0, 1.0], size=(20, changes, own.lam.shape[1]))
         delta = np.broadcast_to(delta, (20, len(own), own.lam.shape[1]))
-        best += list(replay(own, delta)[:, -1, i] - run[-1, i])
+        best += list(replay(own, delta, own.begun(delta[:, 0]))[:, -1, i] - run[-1, i])
     return np.maximum.accumulate(best)[:tried]
 
 

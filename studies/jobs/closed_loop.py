@@ -223,7 +223,7 @@ def run_of(fixed: Table) -> Manoeuvre:
     if "run" not in fixed.content:
         mend = "give its duration and set-points: [fixed.run.setpoints]"
         raise InputError("[fixed.run] is missing", file=fixed.file, mend=mend)
-    return manoeuvre(fixed.table("run", [key for key in RUN if key != "seed"]))
+    return manoeuvre(fixed.table("run", [key for key in RUN if key not in ("seed", "initial")]))
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -85,6 +85,18 @@ def test_without_limits_it_is_the_linear_system_of_python_control():
     np.testing.assert_allclose(through(law, r, y), expected.T + law.u0[0], atol=1e-11)
 
 
+def test_without_integral_there_is_no_pole_at_one():
+    """The first command integrates nothing: its z stays at 0, and the linear system has none."""
+    r, y = signals(3)
+    law = replace(full(), Ki=np.array([[[0.0, 0.0], KI[1]]]))
+    linear = law.at()
+    assert linear.nstates == 5
+    start = np.concatenate([np.zeros(3), law.c * r[0] - y[0]])
+    _, expected = control.forced_response(linear, T=DT * np.arange(len(r)), U=np.hstack([r, y]).T, X0=start)
+    np.testing.assert_allclose(through(law, r, y), expected.T + law.u0[0], atol=1e-11)
+    assert np.abs(replace(full(), Ki=np.zeros((1, 2, 2))).at().poles()).max() < 1.0
+
+
 @pytest.mark.parametrize("Tf", [0.0, 0.1])
 def test_its_frequency_response_is_that_of_the_linear_system(Tf):
     law = full(b=1.0, c=1.0, Tf=Tf, Kr=np.zeros((2, 2)))

@@ -4,20 +4,23 @@
     w_j(k) = sum over the parameters i of channel j of delta_i(k) lam_mi z_i(k),   z(k) = C_m x(k) + f(k),   |delta_i(k)| <= 1
 
 v are the watched signals, outputs and commands. Set-points and schedule are known and are in q, g, f and mode; delta moves as it
-likes at every sample. d = x - x_nominal obeys the same equations without q and g, with z_nominal for f. Three answers:
+likes at every sample. The run begins at a start that is known, or at the rest of any machine of the boxes, which is not that of
+the middle: x(0) in x_nominal(0) + T u + r, |u| <= size, |r| <= slack (`rests`). d = x - x_nominal obeys the same equations,
+without q and g and with z_nominal for f. Three answers:
 
 Kernel, of every instant. |w_j(k)| <= W_j(k), and with Phi(k, l) = A(k-1) .. A(l)
 
     W_j(k) = max over signs s of channel j of |s'(lam z_nom)| + sum_l,c |s'(lam C Phi(k, l+1) B_c)| W_c(l)
     |v - v_nom| <= sum_l,c |E Phi(k, l+1) B_c| W_c(l) + |F| W(k)
 
-Each former w_c(l) is a column Phi(k, l+1) B_c that is carried along. Columns that have nearly died out are exchanged for a box:
-every |e| <= 1 sum of col_l W(l) e_l lies in sum_i [-1, 1] T_i (|T^-1 col| W)_i, whatever T, and the n columns T_i with these
-weights are carried along like any other. No decay is assumed: the exchange is an outer bound for every loop and only costs width,
-so it is made where it costs nearly none.
+and Phi(k, 0) T u beside the sums in both. Each former w_c(l) is a column Phi(k, l+1) B_c that is carried along. Columns that have
+nearly died out are exchanged for a box: every |e| <= 1 sum of col_l W(l) e_l lies in sum_i [-1, 1] T_i (|T^-1 col| W)_i, whatever
+T, and the n columns T_i with these weights are carried along like any other. No decay is assumed: the exchange is an outer bound
+for every loop and only costs width, so it is made where it costs nearly none.
 
 Adversary, of one (signal, instant, side). v is affine in every w_j(k) while the others stay, so that with p the gradient of the
-signal in x(k+1) the best sign of w_j(k) is that of p'b_j: coordinate ascent, backward and forward; the result is replayed.
+signal in x(k+1) the best sign of w_j(k) is that of p'b_j: coordinate ascent, backward and forward; the result is replayed. The
+parameters at whose rest it begins have their signs from the slope in the same way.
 
 Dual, of one (signal, instant, side). By Cauchy w_j^2 sum_i lam_i^2 / M_i <= sum_i M_i z_i^2 for every M_i > 0. With mu_j =
 1 / (sum_i lam_i^2 / M_i), for any M(k) and functions V_k(d) = d'P d + 2 q'd + c for which
@@ -27,8 +30,8 @@ Dual, of one (signal, instant, side). By Cauchy w_j^2 sum_i lam_i^2 / M_i <= sum
 side (v(T) - v_nom(T)) <= V_0(0). The smallest V is a Riccati recursion with R = diag(mu) - B'P B, as long as R > 0. It is convex
 in M, with slope z_i^2 - (mu_j w_j lam_i / M_i)^2 along the run that attains it. Each inequality is one block of size
 n + channels + 1 that has to be positive definite, and every block is proved for itself in outward-rounded arithmetic: nothing
-accumulates, and neither the optimiser nor the recursion is trusted. What happened before a window is the box |d_i| <= e_i that
-the kernel knows.
+accumulates, and neither the optimiser nor the recursion is trusted. d(0) is T u, which costs one block more; what happened before
+a window is the box |d_i| <= e_i that the kernel knows.
 """
 
 import itertools
@@ -43,11 +46,13 @@ from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, exact, positive_definite
 from workbench.intervals.propagation import MOST_SIGNS, ROUNDING
 from workbench.records import field, record
+from workbench.robustness import rests
+from workbench.robustness.rests import TINY, Rest, Start
 
 AGE = 64  # samples after which columns of the kernel may be exchanged for a box
 WIDER = 1e-4  # by which one exchange may widen what is seen, relative
 YOUNG, RISEN = 8, 1e-10  # samples that a box of rounding is carried, and its share of what is seen from which it is no longer
-TINY, HUGE = 1e-110, 1e100  # above what underflow takes from a product with two factors up to HUGE; beyond HUGE nothing is said
+HUGE = 1e100  # TINY is above what underflow takes from a product with two factors up to it; beyond it nothing is said
 STARTS = 8  # of the adversary for each question
 SWEEPS = 30
 GUARD = 0.01  # R >= GUARD diag(mu): beyond, rounding decides
@@ -73,8 +78,10 @@ NOTHING = 1e-9  # deviation relative to the signal up to which bounds are roundi
 class Course:
     """A loop along a run, see the module. M is 1 (one loop for all samples), or as many loops as mode tells apart.
 
-    Shapes: n states, c channels, p parameters, s watched signals, N samples; x(0) = start. channel (p): the column of B through
-    which parameter i acts. Coordinates in which the states have one size serve best: `UncertainLoop.balance`.
+    Shapes: n states, c channels, p parameters, s watched signals, N samples. channel (p): the column of B through which parameter
+    i acts. Coordinates in which the states have one size serve best: `UncertainLoop.balance`. before: what drives the loop before
+    the run, in the mode of the first sample: it begins at the rest of any machine of the boxes, `start` being that of the middle.
+    None: x(0) = start.
     """
 
     A: np.ndarray = field("M n n")
@@ -90,10 +97,11 @@ class Course:
     f: np.ndarray = field("N p")
     start: np.ndarray = field("n")
     signals: tuple[str, ...]
+    before: Rest | None = None
 
     def __post_init__(self):
-        for name, value in vars(self).items():
-            if name != "signals" and not np.all(np.isfinite(value)):
+        for name, value in (*vars(self).items(), *(vars(self.before).items() if self.before else ())):
+            if name not in ("signals", "before") and not np.all(np.isfinite(value)):
                 raise InputError(f"{name} holds a value that is not finite", file="Course")
         M, _, c = self.B.shape
         if len(self.mode) == 0 or len(self.start) == 0:
@@ -102,6 +110,8 @@ class Course:
             raise InputError(f"mode must be an integer from 0 to {M - 1}", file="Course")
         if np.any((self.channel % 1 != 0) | (self.channel >= c)):
             raise InputError(f"channel must be an integer from 0 to {c - 1}", file="Course")
+        if self.before and (len(self.before.q) != len(self.start) or len(self.before.f) != self.f.shape[1]):
+            raise InputError("the rest before the run is of another loop", file="Course")
         if len(self.signals) != self.E.shape[1] or len(set(self.signals)) < len(self.signals):
             raise InputError(f"{self.E.shape[1]} watched signals, named {', '.join(self.signals)}", file="Course")
 
@@ -119,11 +129,17 @@ class Course:
         return np.eye(self.B.shape[2])[self.channel.astype(int)]
 
     def at(self, delta: np.ndarray) -> "Course":
-        """The course with these parameters (p) at all samples; those that are not 0 are no longer uncertain."""
+        """The course with these parameters (p) at all samples, from their rest; those that are not 0 are no longer uncertain.
+
+        Where they have no rest it begins at `start`.
+        """
         delta = np.asarray(delta, dtype=float)
         gain = self.members.T * (self.lam * delta)[:, None, :]  # w = gain z of these
         BD, FD = self.B @ gain, self.F @ gain
-        f = self.f[..., None]
+        f, before, first = self.f[..., None], self.before, int(self.modes[0])
+        if before is not None:
+            q, Q = before.q + BD[first] @ before.f, before.Q + BD[first] @ before.J
+            before = replace(before, q=q, Q=Q) if self.rests(delta[None])[0] else None
         return replace(
             self,
             A=self.A + BD @ self.C,
@@ -131,15 +147,34 @@ class Course:
             q=self.q + (BD[self.modes] @ f)[..., 0],
             g=self.g + (FD[self.modes] @ f)[..., 0],
             lam=np.where(delta != 0.0, 0.0, self.lam),
+            start=self.begun(delta[None])[0],
+            before=before,
         )
 
-    def rest(self, delta: np.ndarray) -> np.ndarray:
-        """The state (n) in which the loop rests at the first sample with these parameters (p); `start` where it has no rest."""
-        own = self.at(delta)
-        i = own.modes[0]
-        if not np.abs(np.linalg.eigvals(own.A[i])).max(initial=0.0) < 1.0:
-            return self.start
-        return np.linalg.solve(np.eye(len(self.start)) - own.A[i], own.q[0])
+    def rests(self, delta: np.ndarray) -> np.ndarray:
+        """Whether the machines with parameters delta (R p) come to rest before the run, (R,); none where `start` is known."""
+        if self.before is None:
+            return np.zeros(len(delta), dtype=bool)
+        i = int(self.modes[0])
+        A = self.A[i] + (self.B[i][:, self.channel.astype(int)] * self.lam[i] * delta[:, None, :]) @ self.C[i]
+        return np.abs(np.linalg.eigvals(A)).max(axis=1) < 1.0
+
+    def begun(self, delta: np.ndarray, share: np.ndarray | None = None) -> np.ndarray:
+        """Where runs begin, (R n): at rest with parameters delta (R p), at shares (R g) of what is open of the set-points before.
+
+        Those that do not come to rest begin at `start`.
+        """
+        before, i = self.before, int(self.modes[0])
+        start = np.tile(self.start, (len(delta), 1))
+        at = np.flatnonzero(self.rests(delta))
+        if before is None or not len(at):
+            return start
+        e = np.zeros((len(delta), before.Q.shape[1])) if share is None else np.asarray(share, dtype=float)
+        BD = self.B[i][:, self.channel.astype(int)] * (self.lam[i] * delta[at])[:, None, :]
+        q, f = before.q + e[at] @ before.Q.T, before.f + e[at] @ before.J.T
+        left = np.eye(len(self.start)) - self.A[i] - BD @ self.C[i]
+        start[at] = np.linalg.solve(left, (q + (BD @ f[..., None])[..., 0])[..., None])[..., 0]
+        return start
 
     def number(self, signal: str) -> int:
         """Which of the watched signals it is."""
@@ -266,13 +301,15 @@ class Kernel:
     """|v - nominal.v| <= half (N s) and |x - nominal.x| <= state (N n), infinite where there is nothing to say.
 
     nominal: the run as it was computed; that it is off by its rounding is in the bounds. gain: the spectral radius of the largest
-    sums that multiply former W, channel by channel; below 1 the bounds stay finite.
+    sums that multiply former W, channel by channel; below 1 the bounds stay finite. start: the set in which runs begin; None
+    where none is proved to hold the rests of all machines, and then nothing is said.
     """
 
     half: np.ndarray = field("N s")
     state: np.ndarray = field("N n")
     gain: float
     nominal: Nominal
+    start: Start | None
 
     @property
     def low(self) -> np.ndarray:
@@ -289,16 +326,16 @@ def kernel(course: Course) -> Kernel:
     """W_j(k) = max over signs s of |s'(lam z_nom)| + sum |s'(lam C Phi B_c)| W_c(l); see the module.
 
     Channels of more than MOST_SIGNS parameters are bounded term by term. Proved in floating point: columns Z are carried as they
-    round, and what rounding takes from them, from the nominal run and from every sum is in a box |e| <= rest that goes along,
+    round, and what rounding takes from them, from the nominal run and from every sum is in a box |e| <= lost that goes along,
 
-        d in {Z e} + [-1, 1] rest,    |fl(A Z) - A Z| <= unit |A| |Z|,    sums of positive terms times 1 + unit
+        d in {Z e} + [-1, 1] lost,    |fl(A Z) - A Z| <= unit |A| |Z|,    sums of positive terms times 1 + unit
 
     unit being above the rounding of the longest sum, and TINY above what underflow takes. Before the box grows much, for |A| may
     have no decay, it becomes n columns.
     """
     run, m = nominal(course), course.modes
     (N, n), c, s = course.q.shape, course.B.shape[2], len(course.signals)
-    channels = [_signs(np.flatnonzero(course.channel == j), course) for j in range(c)]
+    channels = _channels(course)
     rows = np.concatenate([signs for signs, _ in channels])  # (J p)
     ends = np.cumsum([0, *(len(signs) for signs, _ in channels)])
     look = np.concatenate([(rows * course.lam[:, None]) @ course.C, course.E], axis=1)  # (M J+s n)
@@ -311,25 +348,31 @@ def kernel(course: Course) -> Kernel:
     felt = course.lam[m] * (np.einsum("kpn,kn->kp", np.abs(course.C[m]), x) + np.abs(course.f))
     own = np.abs((course.lam[m] * run.z) @ rows.T) + unit * felt @ np.abs(rows).T  # (N J)
     half, state, gains = np.full((N, s), np.inf), np.full((N, n), np.inf), np.zeros((c, c))
-    Z, weight = np.zeros((n, 4 * AGE * c)), np.zeros((4 * AGE * c, 1 + c))  # the bound of each column's w; 1 in its channel
+    start = _start(course, channels)
+    begun = start or rests.known(n)
+    lost, used = begun.slack, len(begun.size)
+    room = used + 4 * AGE * c
+    Z, weight = np.zeros((n, room)), np.zeros((room, 1 + c))  # the bound of each column's w; 1 in its channel
+    Z[:, :used], weight[:used, 0] = begun.spread, begun.size
+    if used:
+        weight[used - c : used, 1:] = one  # the w of a rest
     whole = (course.A, course.B, course.C, course.E, course.F, course.lam, course.q, course.g, course.f, run.x, run.z, sizes)
-    sound = all(np.abs(values).max(initial=0.0) <= HUGE for values in whole)
-    born, used, W, rest, kept = np.zeros(4 * AGE * c, dtype=int), 0, np.zeros(c), np.zeros(n), 0
-    grown = False
+    sound = start is not None and all(np.abs(values).max(initial=0.0) <= HUGE for values in whole)
+    born, W, kept, grown = np.zeros(room, dtype=int), np.zeros(c), 0, False
     with np.errstate(over="ignore", invalid="ignore"):
         for k, i in enumerate(m):
             if len(born) < used + n + c:
                 Z, weight, born = np.hstack([Z, 0 * Z]), np.vstack([weight, 0 * weight]), np.concatenate([born, born])
             if grown:
                 Z[:, used : used + n], weight[used : used + n], born[used : used + n] = np.eye(n), 0.0, k
-                weight[used : used + n, 0], rest, kept = rest, np.zeros(n), k
+                weight[used : used + n, 0], lost, kept = lost, np.zeros(n), k
                 used += n
             if k % AGE == 0 and k > 0:
                 used, left = _exchanged(Z, weight, born, used, k, look[i])
-                rest = rest + left
+                lost = lost + left
             now, up = Z[:, :used], 1.0 + _unit(used + n + len(look[i]))
-            size = (np.abs(now) @ weight[:used, 0]) * up + rest
-            risen = sizes[i] @ rest
+            size = (np.abs(now) @ weight[:used, 0]) * up + lost
+            risen = sizes[i] @ lost
             reach = np.abs(look[i] @ now) @ weight[:used]
             seen = (reach[:, 0] + risen + unit * (sizes[i] @ size)) * up
             for j, (_, summed) in enumerate(channels):
@@ -343,13 +386,29 @@ def kernel(course: Course) -> Kernel:
                 half[k:], state[k:] = np.inf, np.inf
                 break
             grown = k - kept >= YOUNG and bool(np.any(risen > RISEN * seen))
-            rest = (A[i] @ (rest + unit * size) + missed[k]) * up + TINY
+            lost = (A[i] @ (lost + unit * size) + missed[k]) * up + TINY
             now[:] = course.A[i] @ now
             Z[:, used : used + c], born[used : used + c] = course.B[i], k
             weight[used : used + c, 0], weight[used : used + c, 1:] = W, one
             used += c
     finite = np.isfinite(gains).all()
-    return Kernel(half, state, float(np.abs(np.linalg.eigvals(gains)).max(initial=0.0)) if finite else np.inf, run)
+    return Kernel(half, state, float(np.abs(np.linalg.eigvals(gains)).max(initial=0.0)) if finite else np.inf, run, start)
+
+
+def starts(course: Course) -> Start | None:
+    """A set that holds every start of the course, or None where none is proved to."""
+    return _start(course, _channels(course))
+
+
+def _start(course: Course, channels: Sequence[tuple[np.ndarray, bool]]) -> Start | None:
+    if course.before is None:
+        return rests.known(len(course.start))
+    i = int(course.modes[0])
+    return rests.holding(course.before, course.A[i], course.B[i], course.C[i], course.lam[i], course.start, channels)
+
+
+def _channels(course: Course) -> list[tuple[np.ndarray, bool]]:
+    return [_signs(np.flatnonzero(course.channel == j), course) for j in range(course.B.shape[2])]
 
 
 def _unit(terms: int) -> float:
@@ -408,14 +467,18 @@ def _exchanged(
 @record
 class Reached:
     """Sequences delta (S N p) with which watched signal `signal` reaches `value` at sample `instant`, sought as far up (side 1)
-    or down (side -1) as possible; (S) each. v (S N s) is their replay, low and high (N s) its envelope with the nominal run."""
+    or down (side -1) as possible; (S) each. v (S N s) is their replay from the rest with parameters before (S p) at the shares
+    (S g) of what is open of the set-points before the run, the states start (S n)."""
 
     signal: np.ndarray = field("S")
     instant: np.ndarray = field("S")
     side: np.ndarray = field("S")
     value: np.ndarray = field("S")
     delta: np.ndarray = field("S N p", low=-1.0, high=1.0)
-    v: np.ndarray = field()
+    v: np.ndarray = field("S N s")
+    before: np.ndarray = field("S p", low=-1.0, high=1.0)
+    share: np.ndarray = field("S g", low=-1.0, high=1.0)
+    start: np.ndarray = field("S n")
 
 
 def worst(course: Course, questions: Sequence[tuple[str, int, int]], *, starts: int = STARTS, seed: int = 0) -> Reached:
@@ -439,18 +502,26 @@ def worst(course: Course, questions: Sequence[tuple[str, int, int]], *, starts: 
     delta = np.ones((S, *course.f.shape)) * side[:, None, None]  # after the instant the run goes on pushing
     own = course.channel.astype(int)
     delta[:, :last] = (ascent.sigma[:, best][..., own] * ascent.sign[:, best]).transpose(1, 0, 2)
-    v = replay(course, delta)
-    return Reached(signal, instant, side, v[np.arange(S), instant, signal], delta, v)
+    before, share, start = (values[best] for values in (ascent.before, ascent.share, ascent.start))
+    v = replay(course, delta, start)
+    return Reached(signal, instant, side, v[np.arange(S), instant, signal], delta, v, before, share, start)
 
 
 class _Ascent:
-    """Coordinate ascent of side v(T) in lanes (L): w_j(k) = sigma_j(k) lam'|z(k)| over the parameters of channel j."""
+    """Coordinate ascent of side v(T) in lanes (L): w_j(k) = sigma_j(k) lam'|z(k)| over the parameters of channel j.
+
+    before (L p), share (L g): at whose rest each of them begins.
+    """
 
     def __init__(self, course: Course, signal: np.ndarray, instant: np.ndarray, side: np.ndarray, sigma: np.ndarray):
         self.course, self.m, self.members = course, course.modes, course.members
         self.signal, self.side, self.sigma = signal, side, sigma
         self.ends = {int(k): np.flatnonzero(instant == k) for k in np.unique(instant)}
         self.sign = np.ones((*sigma.shape[:2], course.f.shape[1]), dtype=np.int8)
+        before = sigma[0][:, course.channel.astype(int)] * (course.lam[self.m[0]] > 0.0)
+        self.before = np.where(course.rests(before)[:, None], before, 0.0)
+        self.share = np.zeros((len(side), course.before.Q.shape[1] if course.before else 0))
+        self.start = course.begun(self.before, self.share)
 
     def run(self) -> np.ndarray:
         """side v(T) of every lane (L,), after the last sweep that improved one of them."""
@@ -464,7 +535,7 @@ class _Ascent:
 
     def forward(self) -> np.ndarray:
         """Run with the signs sigma of the gradient, whatever the signs of z become; side v(T) of each lane."""
-        course, x = self.course, np.tile(self.course.start, (len(self.side), 1))
+        course, x = self.course, self.start
         value = np.empty(len(self.side))
         for k in range(len(self.sigma)):
             i = self.m[k]
@@ -493,6 +564,24 @@ class _Ascent:
                 p[at] += self.side[at, None] * course.E[i, self.signal[at]]
             self.sigma[k] = np.where(influence == 0.0, self.side[:, None], np.sign(influence))
             p += (np.abs(influence)[:, own] * course.lam[i] * self.sign[k]) @ course.C[i]
+        if course.before is not None:
+            self.begin(course.before, p)
+
+    def begin(self, rest: Rest, p: np.ndarray) -> None:
+        """With p (L n) the slope of side v(T) in x(0): new parameters at whose rest to begin, of those that come to rest.
+
+        x = A(delta) x + q + .., so that (I - A(delta))' a = p and the slope in delta_i is a'b_j lam_i z_i.
+        """
+        course, i, own = self.course, self.m[0], self.course.channel.astype(int)
+        columns = course.B[i][:, own] * course.lam[i]
+        left = np.eye(len(course.start)) - course.A[i] - (columns * self.before[:, None, :]) @ course.C[i]
+        a = np.linalg.solve(left.swapaxes(1, 2), p[..., None])[..., 0]
+        slope = (a @ columns) * (self.start @ course.C[i].T + rest.f + self.share @ rest.J.T)
+        before = np.where(slope == 0.0, self.before, np.sign(slope))
+        self.before = np.where(course.rests(before)[:, None], before, self.before)
+        through = a @ rest.Q + np.einsum("lp,lp,pg->lg", a @ columns, self.before, rest.J)
+        self.share = np.where(through == 0.0, self.share, np.sign(through))
+        self.start = course.begun(self.before, self.share)
 
 
 # ---- the dual -------------------------------------------------------------------------------------------------------
@@ -502,8 +591,8 @@ class _Ascent:
 class Certificate:
     """side v(instant) <= bound, proved by M (K p) and V_k(d) = d'P d + 2 q'd + c, K + 1 each, from sample `first` to `instant`.
 
-    x (K n): the run that d counts from, of which nothing is assumed. box (n): where `first` is not 0, |x(first) - x[0]| <= box by
-    the kernel, and nu (n) >= 0 are its multipliers.
+    x (K n): the run that d counts from, of which nothing is assumed. box (h): the set in which it begins is T u, |u| <= box, and
+    nu (h) >= 0 are its multipliers: the starts of the course, or where `first` is not 0 what the kernel knows of x(first), T = I.
     """
 
     signal: str
@@ -516,13 +605,13 @@ class Certificate:
     q: np.ndarray = field("K+1 n")
     c: np.ndarray = field("K+1")
     x: np.ndarray = field("K n")
-    box: np.ndarray = field("n", low=0.0)
-    nu: np.ndarray = field("n", low=0.0)
+    box: np.ndarray = field("h", low=0.0)
+    nu: np.ndarray = field("h", low=0.0)
 
     def holds(self, course: Course, outer: Kernel | None = None) -> bool:
         """Whether every block is positive definite and the bound is no less than V says, in outward-rounded arithmetic.
 
-        outer: the kernel of the course, which is what a window rests on; computed where it is needed and not given.
+        outer: the kernel of the course, which knows where it begins, and what a window rests on; computed where it is not given.
         """
         K, s = len(self.M), course.number(self.signal)
         n, p = len(course.start), course.f.shape[1]
@@ -564,19 +653,29 @@ class Certificate:
             return False
         base = (exact(course.E[m[-1], s][None]) @ self.x[-1][:, None])[0, 0] + float(course.g[self.instant, s])
         room = exact(self.bound) - base * float(self.side)
-        if self.first == 0:
-            d = exact(course.start) - self.x[0]
-            P, q = exact(self.P[0]), exact(self.q[0])
-            value = (d * ((P @ d[:, None])[:, 0] + q * 2.0)).sum() + float(self.c[0])
-            return bool((room - value).low >= 0.0)
-        known = kernel(course) if outer is None else outer
-        if not np.all(self.box >= known.state[self.first]) or not np.array_equal(self.x[0], known.nominal.x[self.first]):
+        outer = kernel(course) if outer is None and self.first > 0 else outer
+        start = _begun(course, self.first, outer)
+        away = abs(exact(course.start if self.first == 0 or outer is None else outer.nominal.x[self.first]) - self.x[0])
+        if start is None or self.box.shape != start.size.shape or not np.all(self.box >= start.size):
             return False
-        top = exact(np.diag(self.nu)) - self.P[0]
-        corner = room - float(self.c[0]) - (exact(self.nu) * (exact(self.box) * self.box)).sum()
-        side = exact(-self.q[0])
-        block = _rows([_columns([top], side[:, None]), _columns([side[None]], corner[None, None])], axis=0)
+        # V(T u + r) <= u'T'P T u + 2 q'T u + c + what |r| <= off adds, and that is no more than nu'box^2 - u'diag(nu) u leaves
+        P, q, T, off = exact(self.P[0]), exact(self.q[0]), exact(start.spread), away + start.slack
+        turned = _transposed(T) @ P
+        felt = abs(P) @ ((abs(T) @ self.box[:, None])[:, 0] * 2.0 + off)[:, None]
+        added = ((felt[:, 0] + abs(q) * 2.0) * off).sum()
+        corner = room - float(self.c[0]) - (exact(self.nu) * (exact(self.box) * self.box)).sum() - added
+        side = -(_transposed(T) @ q[:, None])
+        top = exact(np.diag(self.nu)) - turned @ T
+        block = _rows([_columns([top], side), _columns([_transposed(side)], corner[None, None])], axis=0)
         return bool(positive_definite(_symmetric(block)))
+
+
+def _begun(course: Course, first: int, outer: Kernel | None) -> Start | None:
+    """The set in which a window begins around the nominal run: as the kernel knows it, or the starts of the course themselves."""
+    if first == 0 or outer is None:
+        return starts(course) if outer is None else outer.start
+    box = outer.state[first]
+    return Start(np.eye(len(box)), box, np.zeros(len(box))) if np.isfinite(box).all() else None
 
 
 def _weights(course: Course, k: np.ndarray, M: np.ndarray) -> tuple[Interval, np.ndarray]:
@@ -638,13 +737,13 @@ def dual(course: Course, found: Reached, question: int = 0, outer: Kernel | None
     """
     signal, instant = int(found.signal[question]), int(found.instant[question])
     side, delta = float(found.side[question]), found.delta[question]
-    path = _along(course, signal, instant, side, delta)
+    path = _along(course, signal, instant, side, delta, found.start[question])
     first = _first(path, instant, outer)
     for begin in (first, 0) if first > 0 else (0,):  # a window may forget what the first multipliers need
         problem = _Problem(course, signal, instant, side, begin, outer)
-        starts = [problem.started(M) for M in _first_multipliers(course, path, problem.k)]
-        starts = sorted((attempt for attempt in starts if attempt is not None), key=lambda attempt: attempt.value)
-        for start in starts[:TRIED]:
+        tried = [problem.started(M) for M in _first_multipliers(course, path, problem.k)]
+        tried = sorted((attempt for attempt in tried if attempt is not None), key=lambda attempt: attempt.value)
+        for start in tried[:TRIED]:
             proof = problem.certified(start, _searched(problem, start))
             if proof is not None:
                 return proof
@@ -673,9 +772,9 @@ class _Path(NamedTuple):
     influence: np.ndarray
 
 
-def _along(course: Course, signal: int, instant: int, side: float, delta: np.ndarray) -> _Path:
+def _along(course: Course, signal: int, instant: int, side: float, delta: np.ndarray, x: np.ndarray) -> _Path:
     m, members, own = course.modes, course.members, course.channel.astype(int)
-    z, x = np.zeros((instant + 1, course.f.shape[1])), course.start
+    z = np.zeros((instant + 1, course.f.shape[1]))
     w, influence = np.zeros((instant + 1, course.B.shape[2])), np.zeros((instant + 1, course.B.shape[2]))
     for k in range(instant + 1):
         i = m[k]
@@ -720,7 +819,7 @@ def _first(path: _Path, instant: int, outer: Kernel | None) -> int:
 
 
 class _Attempt(NamedTuple):
-    """Multipliers log M (K p) and log nu (n), the bound with them, its slope and a guess of its curvature."""
+    """Multipliers log M (K p) and log nu (h), the bound with them, its slope and a guess of its curvature."""
 
     x: np.ndarray
     value: float
@@ -746,9 +845,11 @@ class _Problem:
         self.B[np.broadcast_to(dead[:, None, :], self.B.shape)] = 0.0
         self.c = 0.5 * side * course.E[m[-1], signal]
         self.f = np.where(live[-1], 0.5 * side * course.F[m[-1], signal], 0.0)
-        self.box = np.zeros(len(self.c))
-        if first > 0 and outer is not None:
-            self.box = np.maximum(outer.state[first], 1e-12 * outer.state[first].max())
+        begun = _begun(course, first, outer)
+        self.begins, start = begun is not None, begun or rests.known(len(self.c))
+        self.T, length = start.spread, np.linalg.norm(start.spread, axis=0)
+        least = 1e-12 * float((length * start.size).max(initial=0.0))
+        self.box = np.maximum(start.size, least / np.where(length > 0.0, length, 1.0))
         K, n, c = len(self.k), len(self.c), self.B.shape[2]
         self.P, self.q, self.v = np.zeros((K + 1, n, n)), np.zeros((K + 1, n)), np.zeros(K + 1)
         self.G, self.r = np.zeros((K, c, n)), np.zeros((K, c))
@@ -775,9 +876,8 @@ class _Problem:
         mu = self.mu(M)
         if not self.backward(M, mu, floor=True) or not np.isfinite(self.P).all():
             return None
-        nu = np.zeros(len(self.c))
-        if self.first > 0:  # the smallest of nu e^2 + q'(diag(nu) - P)^-1 q, one direction at a time, and above P
-            nu = np.abs(self.q[0]) / self.box + 2.0 * np.abs(self.P[0]).sum(axis=1)
+        # the smallest of nu u^2 + q'T (diag(nu) - T'P T)^-1 T'q, one direction at a time, and above T'P T
+        nu = np.abs(self.q[0] @ self.T) / self.box + 2.0 * np.abs(self.T.T @ self.P[0] @ self.T).sum(axis=1)
         return self.at(np.log(np.maximum(np.concatenate([M.ravel(), nu]), 1e-300)))
 
     def at(self, x: np.ndarray) -> _Attempt | None:
@@ -788,19 +888,19 @@ class _Problem:
             found = self.bound(nu) if self.backward(M, mu) else None
             if found is None:
                 return None
-            value, start = found
-            _run(self.A, self.B, self.mode, self.G, self.r, start, self.d, self.w)
+            value, u = found
+            _run(self.A, self.B, self.mode, self.G, self.r, self.T @ u, self.d, self.w)
             z = self.z + np.einsum("kpn,kn->kp", self.C[self.mode], self.d)
             share = np.where(self.used, (mu * self.w)[:, self.own] * self.lam / np.where(self.used, M, 1.0), 0.0)
-            z2, s2, b2, d2 = M * z**2, M * share**2, nu * self.box**2, nu * start**2
-            slope, curvature = np.append((z2 - s2).ravel(), b2 - d2), np.append((z2 + s2).ravel(), b2 + d2)
+            z2, s2, b2, u2 = M * z**2, M * share**2, nu * self.box**2, nu * u**2
+            slope, curvature = np.append((z2 - s2).ravel(), b2 - u2), np.append((z2 + s2).ravel(), b2 + u2)
             return _Attempt(x, value, slope, curvature) if np.isfinite(curvature).all() else None
 
     def multipliers(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """M (K p) and nu (n) of their logarithms."""
+        """M (K p) and nu (h) of their logarithms."""
         K, p = self.z.shape
         M = np.where(self.used, np.exp(x[: K * p]).reshape(K, p), 0.0)
-        return M, np.exp(x[K * p :]) if self.first > 0 else np.zeros(len(self.c))
+        return M, np.exp(x[K * p :])
 
     def blended(self, one: _Attempt, other: _Attempt, share: float) -> np.ndarray:
         """Logarithms of the multipliers between two, in which the bound is convex."""
@@ -808,17 +908,17 @@ class _Problem:
         return np.log(np.maximum(np.append(M.ravel(), nu), 1e-300))
 
     def bound(self, nu: np.ndarray) -> tuple[float, np.ndarray] | None:
-        """The largest V at the first sample of the window, and where; None where it has no bound."""
-        value, start = float(self.v[0]), np.zeros(len(self.c))
-        if not (np.isfinite(self.P[0]).all() and np.isfinite(self.q[0]).all() and np.isfinite(value)):
+        """The largest V of the starts T u, and u; None where it has no bound."""
+        value, P, q = float(self.v[0]), self.T.T @ self.P[0] @ self.T, self.q[0] @ self.T
+        if not (self.begins and np.isfinite(self.P[0]).all() and np.isfinite(self.q[0]).all() and np.isfinite(value)):
             return None
-        if self.first > 0:
-            S, scale = np.diag(nu) - self.P[0], 1.0 / np.sqrt(nu)
-            if not (np.isfinite(scale).all() and np.linalg.eigvalsh(S * np.outer(scale, scale))[0] > GUARD):
-                return None
-            start = np.linalg.solve(S, self.q[0])
-            value += float(nu @ self.box**2 + self.q[0] @ start)
-        return value, start
+        if not len(nu):
+            return value, q
+        S, scale = np.diag(nu) - P, 1.0 / np.sqrt(nu)
+        if not (np.isfinite(scale).all() and np.linalg.eigvalsh(S * np.outer(scale, scale))[0] > GUARD):
+            return None
+        u = np.linalg.solve(S, q)
+        return value + float(nu @ self.box**2 + q @ u), u
 
     def certified(self, first: _Attempt, best: _Attempt) -> Certificate | None:
         """The proof: V with some slack in every block; where that fails, further inside, for V is convex in M."""

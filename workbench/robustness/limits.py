@@ -140,12 +140,21 @@ class Manoeuvre:
     """A run that limits are kept through: duration [s], set-points by output, each (time [s], value) from time 0 on.
 
     start: values that replace those of the plant's equilibrium; seed: of noise and disturbance as in the plant, None for none.
+    initial: by output the set-points (low, high) at which a model may rest before the run, where not at its first one.
     """
 
     duration: float = field("", unit="s", low=1e-9, high=1e9)
     setpoints: Mapping[str, tuple[tuple[float, float], ...]]
     start: Mapping[str, float] = field(default_factory=dict)
     seed: int | None = None
+    initial: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def rested(self, controller: Loop, first: np.ndarray, name: str = "limits") -> np.ndarray:
+        """Set-points (nr, 2) before the run, low and high, of a controller whose first ones are `first` (nr)."""
+        source = dict(zip(controller.references, controller.measured, strict=False))
+        for output in self.initial:
+            check_known("output of the controller", output, source.values(), file=name)
+        return np.array([self.initial.get(output, (r, r)) for output, r in zip(source.values(), first, strict=True)])
 
     def references(self, controller: Loop, dt: float, name: str = "limits") -> dict[str, np.ndarray]:
         """Set-points (N,) of a controller by name, every dt seconds; its outputs must all have one, and no others."""
@@ -218,7 +227,7 @@ def setpoint_of(limit: Limit, controller: Loop) -> str | None:
 # ---- the file ------------------------------------------------------------------------------------------------------------------
 
 TABLES = ("run", "limits", "loop")
-RUN = ("duration", "seed", "start", "setpoints")
+RUN = ("duration", "seed", "start", "setpoints", "initial")
 LIMIT = ("low", "high", "rate", "band", "settling", "begin", "unit")
 LOOP = ("stable", "margin", "sensitivity", "moving", "disk")
 
@@ -257,7 +266,21 @@ def manoeuvre(run: Table) -> Manoeuvre:
     start = run.table("start", None)
     setpoints = run.table("setpoints", None)
     values = {name: start.number(name) or 0.0 for name in start.content}
-    return Manoeuvre(duration, {name: _steps(setpoints, name, duration) for name in setpoints.content}, values, seed)
+    steps, initial = {name: _steps(setpoints, name, duration) for name in setpoints.content}, run.table("initial", None)
+    return Manoeuvre(duration, steps, values, seed, {name: _interval(initial, name) for name in initial.content})
+
+
+def _interval(table: Table, name: str) -> tuple[float, float]:
+    """(value, value) of a number, else the (low, high) that is given."""
+    given = table.content[name]
+    if not isinstance(given, list):
+        value = table.number(name) or 0.0
+        return value, value
+    if len(given) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) or not math.isfinite(v) for v in given):
+        raise table.refused(name, f"{given}", "expected a number, or the lowest and the highest one: [0.0, 1.0]")
+    if given[0] > given[1]:
+        raise table.refused(name, f"{given}", "the lowest set-point comes first")
+    return float(given[0]), float(given[1])
 
 
 def _steps(table: Table, name: str, duration: float) -> tuple[tuple[float, float], ...]:

@@ -33,6 +33,7 @@ from workbench.physics.controller import Loop
 from workbench.records import field, record
 from workbench.robustness.envelopes import Course
 from workbench.robustness.frequency import System
+from workbench.robustness.rests import Rest
 
 SEEN = 0.1  # widths of a mode's domain that a schedule value may lie outside
 RATE_OF = "rate of "
@@ -256,12 +257,16 @@ def driven(machine: Machine, law: LinearLaw, rho: float | None = None) -> Driven
     return DrivenLoop(A, G, B, E, H, F, C, J, machine.lam, machine.channel, machine.parameters, signals, law.dt)
 
 
-def course(loops: Sequence[DrivenLoop], references: np.ndarray) -> Course:
-    """The loop along set-points (N, nr), from the rest at the first ones; one loop for all samples, or one for each.
+def course(loops: Sequence[DrivenLoop], references: np.ndarray, initial: np.ndarray | None = None) -> Course:
+    """The loop along set-points (N, nr); one loop for all samples, or one for each.
 
-    Raises InputError where the middle of the boxes has no rest there.
+    It begins at the rest of any machine of the boxes, under the loop of the first sample and set-points between initial (nr, 2);
+    None: under the first ones. Raises InputError where the middle of the boxes has no rest there.
     """
-    N, first = len(references), loops[0]
+    N, first, nr = len(references), loops[0], references.shape[1]
+    ends = np.repeat(references[0][:, None], 2, axis=1) if initial is None else np.asarray(initial, dtype=float)
+    if ends.shape != (nr, 2) or not np.all(ends[:, 0] <= ends[:, 1]):
+        raise InputError(f"set-points before the run of shape {ends.shape}", file="course", mend=f"({nr}, 2): low <= high")
     if len(loops) not in (1, N):
         raise InputError(f"{len(loops)} loops for {N} samples", file="course", mend="one, or one for each sample")
     d = np.column_stack([references, np.ones(N)])
@@ -277,9 +282,14 @@ def course(loops: Sequence[DrivenLoop], references: np.ndarray) -> Course:
     if not np.abs(np.linalg.eigvals(first.A)).max(initial=0.0) < 1.0:
         problem = "the middle of the boxes does not come to rest"
         raise InputError(problem, file="course", mend="another controller, or another model")
+    wide = ends[:, 1] > ends[:, 0]
+    usual = np.append(np.where(wide, 0.5 * (ends[:, 0] + ends[:, 1]), ends[:, 0]), 1.0)
+    half = np.nextafter(np.abs(ends - usual[:nr, None]).max(axis=1), np.inf)[wide]  # both ends are held, rounding and all
+    before = Rest(first.G @ usual, first.G[:, :nr][:, wide] * half, first.J @ usual, first.J[:, :nr][:, wide] * half)
     return Course(
         A=along("A"), B=along("B"), C=along("C"), E=along("E"), F=along("F"), lam=along("lam"), channel=first.channel, mode=mode,
-        q=q, g=driving("H"), f=driving("J"), start=np.linalg.solve(np.eye(len(first.A)) - first.A, q[0]), signals=first.signals,
+        q=q, g=driving("H"), f=driving("J"), start=np.linalg.solve(np.eye(len(first.A)) - first.A, before.q),
+        signals=first.signals, before=before,
     )  # fmt: skip
 
 
@@ -307,11 +317,12 @@ def with_rates(loop: DrivenLoop, names: Sequence[str]) -> DrivenLoop:
 
 def course_of(
     model: LPVModel, errors: Sequence[IntervalModel], law: LinearLaw, rho: np.ndarray, references: np.ndarray,
-    *, noise: bool, rates: Sequence[str] = (),
+    *, noise: bool, rates: Sequence[str] = (), initial: np.ndarray | None = None,
 ) -> Course:  # fmt: skip
     """The loop of a law and a model whose errors are bounded, along a schedule (N) and set-points (N nr).
 
-    noise: with the errors that no parameter explains. rates: commands whose change per second is watched too.
+    noise: with the errors that no parameter explains. rates: commands whose change per second is watched too. initial (nr, 2):
+    set-points under which the loop rests before the run, low and high; None: the first ones.
     """
     check_law(model, law)
     still = np.ptp(rho) == 0.0
@@ -320,7 +331,7 @@ def course_of(
     for machine, value in zip(machines_along(model, errors, values), values, strict=True):
         loop = driven(machine, law, float(value) if law.schedule else None)
         loops.append(with_rates(loop if noise else loop.quiet(), rates))
-    return course(loops, references)
+    return course(loops, references, initial)
 
 
 def machine_of(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = None) -> Machine:

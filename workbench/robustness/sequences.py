@@ -21,7 +21,7 @@ from workbench.robustness.envelopes import Course, replay
 from workbench.robustness.loop import LinearLaw, UncertainLoop, course_of
 from workbench.robustness.margins import Falsified
 
-SCHEMA, VERSION = "gain-scheduling-workbench/parameter-sequence", 1
+SCHEMA, VERSION = "gain-scheduling-workbench/parameter-sequence", 2
 
 
 @record
@@ -65,7 +65,7 @@ class Growth:
 
 @record
 class Passage:
-    """Set-points (N nr) and a schedule (N) through which a law leads a model.
+    """Set-points (N nr) and a schedule (N) through which a law leads a model, from rest under set-points between initial (nr 2).
 
     noise: with the errors that no parameter explains. rates: commands whose change per second is watched too, as "rate of ..".
     """
@@ -75,19 +75,22 @@ class Passage:
     controller: Mapping[str, Any]
     rho: np.ndarray = field("N")
     references: np.ndarray = field("N nr")
+    initial: np.ndarray = field("nr 2")
     noise: bool
     rates: tuple[str, ...] = ()
 
     def course(self, law: LinearLaw) -> Course:
         """The loop along it."""
-        return course_of(self.model, self.errors, law, self.rho, self.references, noise=self.noise, rates=self.rates)
+        return course_of(
+            self.model, self.errors, law, self.rho, self.references, noise=self.noise, rates=self.rates, initial=self.initial
+        )
 
 
 @record
 class Broken:
     """A passage and parameters delta (N p) under which a signal has `value` at a sample, beyond low .. high there.
 
-    start (n): the state in which it begins.
+    It begins at the rest with parameters before (p), at the shares (g) of those set-points before the run that have an interval.
     """
 
     claim: str
@@ -96,7 +99,8 @@ class Broken:
     sample: int
     value: float
     delta: np.ndarray = field("N p", low=-1.0, high=1.0)
-    start: np.ndarray = field("n")
+    before: np.ndarray = field("p", low=-1.0, high=1.0)
+    share: np.ndarray = field("g", low=-1.0, high=1.0)
     low: float
     high: float
 
@@ -112,15 +116,16 @@ class Broken:
     def again(self, make_law: Callable[[Mapping[str, Any]], LinearLaw]) -> float:
         """The signal at the sample."""
         own = self.passage.course(make_law(self.passage.controller))
-        return float(replay(own, self.delta[None], self.start[None])[0, self.sample, own.number(self.signal)])
+        start = own.begun(self.before[None], self.share[None])
+        return float(replay(own, self.delta[None], start)[0, self.sample, own.number(self.signal)])
 
     def save(self, path: str | Path) -> Path:
         own = self.passage
         content = {
             "kind": "passage", "claim": self.claim, "value": self.value, "signal": self.signal, "sample": self.sample,
             "low": self.low if np.isfinite(self.low) else None, "high": self.high if np.isfinite(self.high) else None,
-            "start": self.start, "delta": self.delta,
-            "rho": own.rho, "references": own.references, "noise": own.noise, "rates": list(own.rates),
+            "before": self.before, "share": self.share, "delta": self.delta,
+            "rho": own.rho, "references": own.references, "initial": own.initial, "noise": own.noise, "rates": list(own.rates),
             "model": own.model.to_dict(), "errors": [e.to_dict() for e in own.errors], "controller": dict(own.controller),
         }  # fmt: skip
         return write_json(path, {"schema": SCHEMA, "version": VERSION} | content)
@@ -168,10 +173,10 @@ def _broken(content: Mapping[str, Any], path: str | Path) -> Broken:
     errors: Sequence[Any] = content["errors"]
     passage = Passage(
         model_from_dict(content["model"]), tuple(interval_model_from_dict(e, path) for e in errors), content["controller"],
-        content["rho"], content["references"], bool(content["noise"]), tuple(content["rates"]),
+        content["rho"], content["references"], content["initial"], bool(content["noise"]), tuple(content["rates"]),
     )  # fmt: skip
     low, high = (end if content[side] is None else float(content[side]) for side, end in (("low", -np.inf), ("high", np.inf)))
     return Broken(
         content["claim"], passage, content["signal"], int(content["sample"]), float(content["value"]), content["delta"],
-        content["start"], low, high,
+        content["before"], content["share"], low, high,
     )  # fmt: skip

@@ -12,12 +12,16 @@ first, on its worse side for the second.
 
 Stability and bounds are of the linear law: they hold as long as no command is at its stop. `bounds_kept` finds out how long.
 
+A run begins at the rest of any machine of the boxes, which is not that of the middle: other gains, other integrals.
+
 What is proved holds for parameters that are others at every sample, and so for those that stand still. What refutes is another
-matter: unless parameters are said to move, only a run with constant ones does that no record refutes.
+matter: unless parameters are said to move, only a run with constant ones does that no record refutes; where they are, it refutes
+too, and so does every sequence within the boxes.
 
 The margin of what is undecided is what is missing to the proof.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -32,7 +36,7 @@ from workbench.robustness.margins import Falsified, Margin
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
 INSTANTS = 4  # samples of one signal and side at which the adversary is asked
-SLACK = 1e-9  # of the signal, by which a run must break a bound: more than rounding
+SLACK = 1e-9  # of the signal or its limit, by which a run must break a bound: more than rounding
 GROWS = 1.0 + 1e-9  # of a pole that is lost: more than rounding
 
 
@@ -89,13 +93,15 @@ def overall(verdicts: Sequence[Verdict]) -> Status:
 # ---- stability -----------------------------------------------------------------------------------------------------
 
 
-def stability(found: Margin, needed: float, claim: str, of: str, *, possible: np.ndarray | None = None) -> Verdict:
+def stability(
+    found: Margin, needed: float, claim: str, of: str, *, possible: np.ndarray | None = None, moving: bool = False
+) -> Verdict:
     """Whether the boxes may be `needed` times as wide.
 
-    possible (R p): constant parameters that may be the machine's, and which refute it alone; None: parameters may move, and
-    sequences within the boxes refute it.
+    possible (R p): constant parameters of the boxes that may be the machine's, and refute it. moving, or possible None: sequences
+    within boxes that wide refute it too.
     """
-    low, high, lost = found.certified.kappa, found.falsified.kappa, refuting(found, needed, possible)
+    low, high, lost = found.certified.kappa, found.falsified.kappa, refuting(found, needed, possible, moving)
     if low >= needed and found.certified.holds(found.loop):
         return Verdict(
             claim, of, Status.PROVED, low - needed, "boxes",
@@ -103,7 +109,7 @@ def stability(found: Margin, needed: float, claim: str, of: str, *, possible: np
             f"up to boxes {low:.3g} times as wide; from {high:.3g} on a sequence is known that the loop does not survive",
         )  # fmt: skip
     if lost is not None and lost.replay(found.loop) >= 1.0:
-        if possible is None:
+        if lost is found.falsified:
             said = f"in boxes {lost.kappa:.3g} times as wide {len(lost.delta)} sets of parameters in turn let a state grow"
             return Verdict(claim, of, Status.FAILED, lost.kappa - needed, "boxes", said)
         said = f"constant parameters that no record refutes let a state grow, by {lost.growth:.4g} at every sample"
@@ -113,11 +119,11 @@ def stability(found: Margin, needed: float, claim: str, of: str, *, possible: np
     return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
 
 
-def refuting(found: Margin, needed: float, possible: np.ndarray | None) -> Falsified | None:
-    """What refutes: a sequence in boxes less than `needed` times as wide, or the worst of the possible constant parameters."""
-    if possible is None:
-        return found.falsified if found.falsified.kappa < needed else None
-    if not len(possible):
+def refuting(found: Margin, needed: float, possible: np.ndarray | None, moving: bool = False) -> Falsified | None:
+    """What refutes, as in `stability`: a sequence in boxes less than `needed` times as wide, or the worst constant parameters."""
+    if (moving or possible is None) and found.falsified.kappa < needed:
+        return found.falsified
+    if possible is None or not len(possible):
         return None
     radii = np.abs(np.linalg.eigvals(found.loop.at(possible))).max(axis=1)
     worst = possible[int(radii.argmax())][None]
@@ -141,22 +147,33 @@ class Bound:
 
 @record
 class Tried:
-    """Runs v (R N s) under parameters delta (R N p) from the states start (R n)."""
+    """Runs v (R N s) under parameters delta (R N p), from the states start (R n).
 
-    v: np.ndarray
-    delta: np.ndarray
-    start: np.ndarray
+    These are the rests with parameters before (R p) at the shares (R g) of what is open of the set-points before the run.
+    """
+
+    v: np.ndarray = field("R N s")
+    delta: np.ndarray = field("R N p")
+    before: np.ndarray = field("R p")
+    share: np.ndarray = field("R g")
+    start: np.ndarray = field("R n")
+
+    def row(self, i: int) -> "Tried":
+        """One of the runs."""
+        return Tried(*(value[i : i + 1] for value in vars(self).values()))
+
+    def beside(self, other: "Tried") -> "Tried":
+        """These runs, and the others."""
+        return Tried(*(np.concatenate(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)))
 
 
 @record
 class Kept:
-    """The verdict on a bound; the run v (N s), delta (N p), start (n) that comes nearest to breaking it, at `sample`."""
+    """The verdict on a bound, and the run that comes nearest to breaking it, at `sample`."""
 
     bound: Bound
     verdict: Verdict
-    v: np.ndarray = field()
-    delta: np.ndarray = field()
-    start: np.ndarray = field()
+    run: Tried
     sample: int
 
 
@@ -168,14 +185,15 @@ def bounds_kept(
     of: str,
     dt: float,
     possible: np.ndarray | None = None,
+    moving: bool = False,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Kept]:
-    """A verdict on every bound over all parameters within their boxes, samples dt [s] apart.
+    """A verdict on every bound over all parameters within their boxes and all starts of the course, samples dt [s] apart.
 
     stops: of the commands, within which the law is linear. From where it is not proved that they are kept nothing else is.
-    possible (R p): constant parameters that may be the machine's: then they alone refute, each from its own rest; None:
-    parameters may move, and sequences within the boxes refute. Raises InputError for a bound that asks nothing.
+    possible (R p): constant parameters of the boxes that may be the machine's, and refute, each from its own rest. moving, or
+    possible None: sequences within the boxes refute too. Raises InputError for a bound that asks nothing.
     """
     for bound in bounds:
         if not (np.isfinite(bound.low) | np.isfinite(bound.high)).any():
@@ -188,8 +206,11 @@ def bounds_kept(
     found = []
     for bound in bounds:
         progress(bound.claim)
-        furthest = _moving_runs(course, outer.nominal.v, bound, seed)
-        tried = furthest if constant is None else _with_noise(course, constant, bound, stops, seed)
+        furthest = tried = _moving_runs(course, outer.nominal.v, bound, seed)
+        if constant is not None:
+            tried = _with_noise(course, constant, bound, stops, seed)
+            furthest = furthest.beside(tried)
+        tried = furthest if moving else tried
         until = _proved_until(course, outer, bound)
         found.append(_judged(course, outer, bound, tried, furthest, until, free, stops, of, dt))
     return found
@@ -210,7 +231,7 @@ def _moving_runs(course: Course, run: np.ndarray, bound: Bound, seed: int) -> Tr
         spread = counted[np.linspace(0, len(counted) - 1, INSTANTS + 1).round().astype(int)[1:]]
         questions += [(bound.signal, int(k), side) for k in np.unique(np.append(spread, nearest))]
     found = worst(course, questions, seed=seed)
-    return Tried(found.v, found.delta, np.tile(course.start, (len(found.v), 1)))
+    return Tried(found.v, found.delta, found.before, found.share, found.start)
 
 
 def _explained(course: Course) -> np.ndarray:
@@ -219,26 +240,32 @@ def _explained(course: Course) -> np.ndarray:
 
 
 def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
-    """Runs with constant parameters (R p), each from its own rest, without errors that no parameter explains."""
+    """Runs with constant parameters (R p), each from its own rests, without errors that no parameter explains.
+
+    Those that do not come to rest begin at that of the middle.
+    """
     own = np.where(_explained(course) & (course.lam.max(axis=0) > 0.0), possible, 0.0)
+    open_ = course.before.Q.shape[1] if course.before else 0
+    share = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=open_)))
+    own, share = np.repeat(own, len(share), axis=0), np.tile(share, (len(own), 1))
     every = np.broadcast_to(own[:, None, :], (len(own), len(course), own.shape[1]))
-    start = np.array([course.rest(delta) for delta in own])
-    return Tried(replay(course, every, start), every, start)
+    begins, start = course.rests(own)[:, None], course.begun(own, share)
+    return Tried(replay(course, every, start), every, np.where(begins, own, 0.0), np.where(begins, share, 0.0), start)
 
 
 def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[Bound], seed: int) -> Tried:
     """The constant run that comes nearest to a bound, and the worst errors on top of it."""
     i = course.number(bound.signal)
     excess = _excess(constant.v, bound, i, _linear_until(course, constant.v, stops))
-    at = int(excess.max(axis=1).argmax())
-    best = Tried(constant.v[at : at + 1], constant.delta[at : at + 1], constant.start[at : at + 1])
+    best = constant.row(int(excess.max(axis=1).argmax()))
     if not (course.lam[:, ~_explained(course)] > 0.0).any():
         return best
-    fixed = replace(course.at(best.delta[0, 0]), start=best.start[0])
+    fixed = course.at(best.delta[0, 0])
     errors = _moving_runs(fixed, best.v[0], bound, seed)
-    delta = best.delta + np.where(_explained(course), 0.0, errors.delta)
-    start = np.repeat(best.start, len(delta), axis=0)
-    return Tried(replay(course, delta, start), delta, start)
+    delta, before = best.delta + np.where(_explained(course), 0.0, errors.delta), best.before + errors.before
+    share = errors.share if fixed.before else np.repeat(best.share, len(delta), axis=0)
+    start = course.begun(before, share)
+    return Tried(replay(course, delta, start), delta, before, share, start)
 
 
 def _excess(v: np.ndarray, bound: Bound, signal: int, linear: np.ndarray) -> np.ndarray:
@@ -280,22 +307,27 @@ def _judged(
     reached = float(excess[row, k])
     beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())
     asked, below, above = np.isfinite(bound.low) | np.isfinite(bound.high), outer.low[:, i], outer.high[:, i]
-    left = float(np.minimum(below - bound.low, bound.high - above).min())
+    floor, roof = np.isfinite(bound.low), np.isfinite(bound.high)
+    left = float(np.concatenate([below[floor] - bound.low[floor], bound.high[roof] - above[roof]]).min())
     if until == len(course):  # at single samples by a dual, which is tighter
         below, above = np.maximum(below, bound.low), np.minimum(above, bound.high)
     every = (float(below[asked].min()), float(above[asked].max())) if free == len(course) else None
 
     def kept(status: Status, margin: float, said: str) -> Kept:
         found = Verdict(bound.claim, of, status, margin, unit, said, every=every)
-        return Kept(bound, found, tried.v[row], tried.delta[row], tried.start[row], k)
+        return Kept(bound, found, tried.row(row), k)
 
     moving = tried is furthest
-    if reached > SLACK * max(1.0, float(np.abs(outer.nominal.v[:, i]).max())):
+    limits = np.concatenate([bound.low[np.isfinite(bound.low)], bound.high[np.isfinite(bound.high)]])
+    if reached > SLACK * float(max(np.abs(outer.nominal.v[:, i]).max(), np.abs(limits).max())):
         who = "parameters that move within their boxes" if moving else "constant parameters that no record refutes"
         return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s")
     if until == len(course) and free == len(course):
         said = f"whatever the parameters do at {len(course)} samples; the worst sequences found leave {-beyond:.3g} {unit}"
         return kept(Status.PROVED, max(left, 0.0), said)
+    if outer.start is None:
+        said = "no set is known that holds the rests of all machines of the boxes: a run may begin anywhere"
+        return kept(Status.UNDECIDED, math.nan, said)
     said = (
         f"proved for the first {until * dt:.4g} s of {len(course) * dt:.4g} s" if until < len(course) else "proved while linear"
     )

@@ -135,7 +135,7 @@ def test_limits_get_the_units_of_the_plant_and_must_fit_the_loop():
 
 RUN = "[run]\nduration = 20\n[run.setpoints]\nw3 = 100.0\ntheta = [[0.0, 0.0], [5.0, 5.0]]\n"
 WHOLE = (
-    RUN.replace("duration = 20\n", "duration = 20.0\nseed = 3\nstart = {r2 = 0.02}\n")
+    RUN.replace("duration = 20\n", "duration = 20.0\nseed = 3\nstart = {r2 = 0.02}\ninitial = {w3 = [90, 110.0]}\n")
     + "[limits.theta]\nlow = -20.0\nhigh = 20\nbegin = 1.0\n[limits.w3]\nband = 5.0\nsettling = 3.0\n"
     "[limits.V1]\nlow = -2.0\nhigh = 3.0\nrate = 50.0\nunit = 'V'\n[loop]\nstable = true\nmargin = 1\nsensitivity = 1.8\n"
 )
@@ -157,6 +157,11 @@ def test_every_key_of_the_file_arrives(tmp_path):
     assert found.run
     assert (found.run.duration, found.run.seed, found.run.start) == (20.0, 3, {"r2": 0.02})
     assert found.run.setpoints == {"w3": ((0.0, 100.0),), "theta": ((0.0, 0.0), (5.0, 5.0))}
+    assert found.run.initial == {"w3": (90.0, 110.0)}
+    loop = Playback(("a", "b"), 0.02, measured=("theta", "w3"))
+    np.testing.assert_array_equal(found.run.rested(loop, np.array([0.5, 100.0])), [[0.5, 0.5], [90.0, 110.0]])
+    with pytest.raises(InputError, match="unknown output of the controller 'w3'"):
+        found.run.rested(Playback(("a",), 0.02, measured=("theta",)), np.array([0.5]))
 
 
 def test_what_is_left_out_is_not_asked(tmp_path):
@@ -164,7 +169,7 @@ def test_what_is_left_out_is_not_asked(tmp_path):
     assert (found.stable, found.margin, found.sensitivity, found.limits, found.run) == (False, None, None, (), None)
     found = load_limits(written(tmp_path, RUN + "[limits.theta]\nhigh = 20.0\n"))
     assert found.run
-    assert (found.stable, found.run.seed, found.run.start) == (True, None, {})
+    assert (found.stable, found.run.seed, found.run.start, found.run.initial) == (True, None, {}, {})
 
 
 LIMIT = RUN + "[limits.theta]\n"
@@ -205,6 +210,10 @@ LIMIT = RUN + "[limits.theta]\n"
         (LIMIT.replace("= 20", "= 20\nseed = 1.5"), "[run] seed = 1.5", "whole number"),
         (LIMIT.replace("= 20", "= 20\nsede = 1"), "unknown key in [run] 'sede'", "did you mean 'seed'"),
         (LIMIT.replace("= 20", "= 20\nstart = {r2 = 'a'}"), "[run.start] r2 = 'a'", "expected a number"),
+        (LIMIT.replace("= 20", "= 20\ninitial = {w3 = 'a'}"), "[run.initial] w3 = 'a'", "expected a number"),
+        (LIMIT.replace("= 20", "= 20\ninitial = {w3 = [1.0]}"), "[run.initial] w3 = [1.0]", "the lowest and the highest"),
+        (LIMIT.replace("= 20", "= 20\ninitial = {w3 = [1, inf]}"), "[run.initial] w3 = [1, inf]", "the lowest and the highest"),
+        (LIMIT.replace("= 20", "= 20\ninitial = {w3 = [2, 1]}"), "[run.initial] w3 = [2, 1]", "comes first"),
         (LIMIT.replace("100.0", "'fast'"), "[run.setpoints] w3 = 'fast'", "expected a number"),
         (LIMIT.replace("[5.0, 5.0]", "[5.0]"), "[run.setpoints] theta = a list", "pairs [time, value]"),
         (LIMIT.replace("[5.0, 5.0]", "[5.0, nan]"), "[run.setpoints] theta = [5.0, nan]", "finite"),

@@ -6,12 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from controllers.pid import pid
+from tests.workbench.robustness.loops import model
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
+from workbench.intervals.regressors import ARX
 from workbench.robustness.envelopes import Course, kernel, nominal, replay
 from workbench.robustness.falsify import same
-from workbench.robustness.loop import UncertainLoop
+from workbench.robustness.loop import UncertainLoop, driven, machine_of
+from workbench.robustness.loop import course as along
 from workbench.robustness.margins import corners, margin
+from workbench.robustness.rests import Rest
 from workbench.robustness.sequences import Growth, load_sequence
 from workbench.robustness.verdict import Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
 
@@ -23,7 +28,7 @@ def scalar(lam=0.1, noise=0.0) -> Course:
     return Course(
         A=[[[0.5]]], B=[[[1.0]]], C=[[[1.0], [0.0]]], E=[[[1.0], [-2.0]]], F=np.zeros((1, 2, 1)), lam=[[lam, noise]],
         channel=[0, 0], mode=np.zeros(N), q=np.ones((N, 1)), g=np.zeros((N, 2)), f=np.tile([0.0, 1.0], (N, 1)), start=[2.0],
-        signals=("y", "u"),
+        signals=("y", "u"), before=Rest([1.0], np.zeros((1, 0)), [0.0, 1.0], np.zeros((2, 0))),
     )  # fmt: skip
 
 
@@ -38,7 +43,7 @@ def every_corner(course) -> np.ndarray:
 
 
 def kept_of(course, limit, stops=(), moving=False) -> Kept:
-    (kept,) = bounds_kept(course, [limit], stops, of="model", dt=0.1, possible=None if moving else every_corner(course))
+    (kept,) = bounds_kept(course, [limit], stops, of="model", dt=0.1, possible=every_corner(course), moving=moving)
     return kept
 
 
@@ -74,7 +79,7 @@ def test_moving_parameters_refute_only_where_they_are_said_to_move():
     course = turning()
     corners = replay(course, np.array([1.0, -1.0])[:, None, None] * np.ones((2, N, 1)))[:, :, 0]
     moving = kept_of(course, bound(high=-2.0), moving=True)
-    reached = float(moving.v[:, 0].max())
+    reached = float(moving.run.v[0, :, 0].max())
     assert reached > corners.max() + 0.005
     between = bound(high=0.5 * (reached + corners.max()))
     assert verdict(course, between, moving=True).status is Status.FAILED
@@ -98,14 +103,16 @@ def test_the_run_of_a_verdict_is_the_one_that_its_parameters_make():
     for course in (scalar(noise=0.02), turning()):
         for moving in (True, False):
             kept = kept_of(course, bound(high=0.1), moving=moving)
-            np.testing.assert_allclose(replay(course, kept.delta[None], kept.start[None])[0], kept.v, atol=1e-12)
-            assert kept.verdict.margin == pytest.approx(0.1 - kept.v[kept.sample, 0], rel=1e-9)
+            run = kept.run
+            np.testing.assert_allclose(replay(course, run.delta, run.start), run.v, atol=1e-12)
+            np.testing.assert_allclose(course.begun(run.before, run.share), run.start, atol=1e-12)
+            assert kept.verdict.margin == pytest.approx(0.1 - run.v[0, kept.sample, 0], rel=1e-9)
 
 
 def test_a_course_with_constant_parameters_is_the_replay_of_them():
     course, delta = scalar(noise=0.3), np.array([0.7, -0.4])
     own = course.at(delta)
-    expected = replay(course, np.tile(delta, (1, N, 1)))[0]
+    expected = replay(course, np.tile(delta, (1, N, 1)), course.begun(delta[None]))[0]
     np.testing.assert_allclose(nominal(own).v, expected, atol=1e-12)
     assert not own.lam.any()
     half = course.at(np.array([0.7, 0.0]))
@@ -160,11 +167,11 @@ def test_no_claim_of_200_random_runs_is_proved_and_refuted(block):
         kept = kept_of(course, limit, moving=True)
         seen.add(kept.verdict.status)
         delta = random.choice([-1.0, 1.0], size=(40, len(course), course.lam.shape[1]))
-        tried = max(float((replay(course, delta)[:, :, 0] - limit.high).max()), float((kept.v[:, 0] - limit.high).max()))
+        tried = max(float((replay(course, delta)[:, :, 0] - limit.high).max()), float((kept.run.v[0, :, 0] - limit.high).max()))
         if kept.verdict.status is Status.PROVED:
             assert tried <= 0.0, seed
         elif kept.verdict.status is Status.FAILED:
-            again = replay(course, kept.delta[None])[0, :, 0] - limit.high
+            again = replay(course, kept.run.delta)[0, :, 0] - limit.high
             assert float(again.max()) == pytest.approx(-kept.verdict.margin, rel=1e-9), seed
         else:
             assert tried <= 0.0, seed
@@ -215,20 +222,72 @@ def test_only_parameters_that_may_be_the_machines_refute():
     lost = refuting(found, 1.0, np.array([[1.0]]))
     assert lost is not None
     assert lost.growth == pytest.approx(1.1)
+    # moving parameters are never weaker: constant ones still refute where no sequence was found, and sequences besides
+    blind = replace(found, falsified=replace(found.falsified, kappa=2.0))
+    assert stability(blind, 1.0, "", "", moving=True, possible=np.array([[1.0]])).status is Status.FAILED
+    assert stability(found, 1.0, "", "", moving=True, possible=np.array([[0.4]])).status is Status.FAILED
     assert refuting(found, 1.0, np.empty((0, 1))) is None
 
 
 def test_a_constant_run_begins_at_its_own_rest():
     """At rest at 1 / (0.5 - lam delta), and it stays there: nothing but the level differs from the middle."""
     kept = kept_of(scalar(), bound(high=2.4))
-    np.testing.assert_allclose(kept.v[:, 0], 2.5, rtol=1e-12)
-    np.testing.assert_allclose(scalar().rest(np.array([-1.0, 0.0])), [1.0 / 0.6])
+    np.testing.assert_allclose(kept.run.v[0, :, 0], 2.5, rtol=1e-12)
+    np.testing.assert_allclose(scalar().begun(np.array([[-1.0, 0.0]])), [[1.0 / 0.6]])
     wild = replace(scalar(), A=[[[1.5]]])
-    np.testing.assert_array_equal(wild.rest(np.array([0.0, 0.0])), wild.start)  # no rest
+    np.testing.assert_array_equal(wild.begun(np.array([[0.0, 0.0]])), [wild.start])  # no rest
+
+
+def in_pi_loop(initial=None) -> tuple[Course, Bound]:
+    """y+ = a y + b u, a 0.9 +- 0.005, b 0.1 +- 0.01, PI 0.3, 0.3 at 0.1 s, from a set-point of 1 to 0.2; u below 1.0133."""
+    own = model("y", ("u",), ARX(order=1, delta=False, bias=False), [-0.9, 0.1], [0.005, 0.01])
+    law = pid(("u",), ("y",), ("r",), 0.1, [0.3], [0.3])
+    r = np.append(1.0, np.full(N - 1, 0.2))[:, None]
+    return along([driven(machine_of([own], law), law)], r, initial), bound("u", high=1.0133)
+
+
+def test_a_machine_of_the_box_begins_at_its_own_rest():
+    """a = 0.895, b = 0.09 needs a command of (1 - 0.895) / 0.09 = 1.1667 to rest at 1."""
+    loop, limit = in_pi_loop()
+    needed = (1.0 - 0.895) / 0.09
+    for moving in (False, True):
+        failed = kept_of(loop, limit, moving=moving)
+        assert failed.verdict.status is Status.FAILED
+        assert failed.run.v[0, failed.sample, 1] == pytest.approx(needed, rel=1e-9)
+        assert verdict(loop, bound("u", high=1.01 * needed), moving=moving).status is Status.PROVED
+        assert verdict(loop, bound("u", high=0.999 * needed), moving=moving).status is Status.FAILED
+    stops = [bound("u", low=-2.0, high=1.1)]  # some machines rest beyond their stop
+    assert verdict(loop, bound("u", high=2.0), stops=stops).status is Status.UNDECIDED
+    below, one = [bound("u", low=-2.0, high=1.1 * needed)], bound("u", high=1.09 * needed)
+    assert verdict(loop, one, stops=below).status is Status.PROVED
+
+
+def test_set_points_before_the_run_may_be_anywhere_in_an_interval():
+    """From a rest at a set-point of 0 to 2 the command begins as high as 2 (1 - 0.895) / 0.09, less what the step to 1 takes."""
+    wide, needed = in_pi_loop(np.array([[0.0, 2.0]]))[0], 2.0 * (1.0 - 0.895) / 0.09 - 0.3 * (2.0 - 1.0)
+    failed = kept_of(wide, bound("u", high=0.999 * needed))
+    assert failed.verdict.status is Status.FAILED
+    assert failed.run.v[0, :, 1].max() == pytest.approx(needed, rel=1e-9)
+    np.testing.assert_array_equal(failed.run.share, [[1.0]])
+    assert verdict(wide, bound("u", high=1.02 * needed)).status is Status.PROVED
+    at_two = in_pi_loop(np.array([[2.0, 2.0]]))[0]
+    assert verdict(at_two, bound("u", high=1.02 * needed)).status is Status.PROVED
+    assert verdict(at_two, bound("u", high=0.999 * needed)).status is Status.FAILED
+    with pytest.raises(InputError, match="low <= high"):
+        in_pi_loop(np.array([[1.0, 0.0]]))
+
+
+def test_where_a_machine_has_no_rest_nothing_is_proved():
+    """1 - a - lam delta reaches 0 in the box: a run may begin anywhere."""
+    lost = replace(scalar(lam=0.5), start=[2.0])
+    for moving in (True, False):
+        found = verdict(lost, bound(high=1e6), moving=moving)
+        assert found.status is not Status.PROVED
+        assert found.status is Status.FAILED or "rests of all machines" in found.sentence
 
 
 def test_rounding_breaks_no_bound_and_a_bound_of_nothing_is_refused():
-    still = replace(scalar(lam=0.0), q=np.full((N, 1), 0.15), start=[0.3])
+    still = replace(scalar(lam=0.0), q=np.full((N, 1), 0.15), start=[0.3], before=None)
     assert verdict(still, bound(high=0.3)).status is not Status.FAILED
     with pytest.raises(InputError, match="asks nothing"):
         verdict(scalar(), bound())

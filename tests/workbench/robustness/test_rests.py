@@ -1,0 +1,206 @@
+"""Where a run begins: the rests of all machines of the boxes are held, rounding and all; where there is none it is said."""
+
+import itertools
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from workbench.errors import InputError
+from workbench.robustness import envelopes
+from workbench.robustness.envelopes import Course, dual, kernel, nominal, replay, starts, worst
+from workbench.robustness.rests import Rest
+
+
+def rational(M):
+    return np.vectorize(Fraction, otypes=[object])(np.asarray(M, dtype=float))
+
+
+def solved(M, b) -> np.ndarray:
+    """M x = b by elimination, without rounding."""
+    M, b, n = M.copy(), b.copy(), len(b)
+    for i in range(n):
+        k = next(k for k in range(i, n) if M[k, i] != 0)
+        M[[i, k]], b[[i, k]] = M[[k, i]], b[[k, i]]
+        for k in range(i + 1, n):
+            factor = M[k, i] / M[i, i]
+            M[k], b[k] = M[k] - factor * M[i], b[k] - factor * b[i]
+    for i in range(n - 1, -1, -1):
+        b[i] = (b[i] - sum(M[i, k] * b[k] for k in range(i + 1, n))) / M[i, i]
+    return b
+
+
+def resting(seed, n=3, p=4, c=2, g=1, N=20, lam=0.05, scale=1.0, M=1) -> Course:
+    """A loop that rests before the run and then is driven by something else, in units of each state by `scale` to a power."""
+    random = np.random.default_rng(seed)
+    A = random.standard_normal((1, n, n))
+    A *= 0.8 / np.abs(np.linalg.eigvals(A[0])).max()
+    A = np.concatenate([A, *(A + 0.02 * random.standard_normal((1, n, n)) for _ in range(M - 1))])
+    T = np.diag(scale ** random.integers(-1, 2, n))
+    A, back = T @ A @ np.linalg.inv(T), np.linalg.inv(T)
+    B, C, E = (
+        T @ random.standard_normal((M, n, c)),
+        random.standard_normal((M, p, n)) @ back,
+        random.standard_normal((M, 1, n)) @ back,
+    )
+    before = Rest(
+        T @ random.standard_normal(n),
+        T @ random.standard_normal((n, g)),
+        random.standard_normal(p),
+        random.standard_normal((p, g)),
+    )
+    return Course(
+        A, B, C, E, random.standard_normal((M, 1, c)), lam * random.uniform(0.2, 1.0, (M, p)),
+        random.permutation(np.arange(p) % c), np.arange(N) % M, random.standard_normal((N, n)) @ T,
+        random.standard_normal((N, 1)), random.standard_normal((N, p)),
+        np.linalg.solve(np.eye(n) - A[0], before.q), ("v",), before,
+    )  # fmt: skip
+
+
+def exact_rest(course, delta, e) -> tuple[np.ndarray, np.ndarray]:
+    """x and w of x = A x + q + Q e + B w, w = S delta lam (C x + f + J e), without rounding."""
+    i, one = course.modes[0], rational(delta)
+    A, B, C, lam, S = (rational(M) for M in (course.A[i], course.B[i], course.C[i], course.lam[i], course.members))
+    rest = course.before
+    q, f = (rational(a) + rational(b) @ rational(e) for a, b in ((rest.q, rest.Q), (rest.f, rest.J)))
+    gain = B @ (S.T * (one * lam))
+    x = solved(rational(np.eye(len(A))) - A - gain @ C, q + gain @ f)
+    return x, (one * lam * (C @ x + f)) @ S
+
+
+def points(course, count, seed):
+    """Corners and numbers inside of (delta, e)."""
+    random, p, g = np.random.default_rng(seed), course.f.shape[1], course.before.Q.shape[1]
+    shares = np.concatenate([random.choice([-1.0, 1.0], (count, p + g)), random.uniform(-1, 1, (count, p + g))])
+    return shares[:, :p], shares[:, p:]
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 10**6), st.integers(1, 4), st.integers(1, 4), st.integers(1, 2), st.integers(0, 2), st.sampled_from([1.0, 1e6])
+)
+def test_every_rest_is_held_without_rounding(seed, n, p, c, g, scale):
+    course = resting(seed, n, p, c, g, scale=scale)
+    held = starts(course)
+    if held is None:
+        return
+    spread, size, slack = rational(held.spread), rational(held.size), rational(held.slack)
+    for delta, e in zip(*points(course, 6, seed), strict=True):
+        x, w = exact_rest(course, delta, e)
+        u = np.concatenate([rational(e), w])
+        assert np.all(np.abs(u) <= size)
+        assert np.all(np.abs(x - rational(course.start) - spread @ u) <= slack)
+        found = course.begun(delta[None], e[None])[0]
+        if course.rests(delta[None])[0]:
+            np.testing.assert_allclose(found, x.astype(float), rtol=1e-9, atol=1e-9 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_of_one_channel_the_set_is_no_larger_than_it_must_be(seed):
+    """The largest w is that of a corner; and the rounding of all of it is none."""
+    course = resting(seed, c=1, g=0)
+    held = starts(course)
+    reached = max(
+        abs(float(exact_rest(course, np.array(d), np.zeros(0))[1][0])) for d in itertools.product([-1.0, 1.0], repeat=4)
+    )
+    assert reached <= held.size[0] <= reached * (1.0 + 1e-6)
+    assert held.slack.max() < 1e-12 * np.abs(course.start).max()
+
+
+def scalar(a, lam) -> Course:
+    """x+ = (a + lam delta) x + 1 from rest at 1 / (1 - a - lam delta)."""
+    one, N = np.ones((1, 1, 1)), 10
+    start = [1.0 / (1.0 - a)] if a != 1.0 else [0.0]
+    return Course(
+        a * one, one, one, one, 0.0 * one, [[lam]], [0], np.zeros(N), np.ones((N, 1)), np.zeros((N, 1)), np.zeros((N, 1)), start,
+        ("v",), Rest([1.0], np.zeros((1, 0)), [0.0], np.zeros((1, 0))),
+    )  # fmt: skip
+
+
+def test_boxes_with_a_machine_that_has_no_rest_prove_nothing():
+    """1 - a - lam delta passes 0: from there on nothing is said, just before the rest is as far off as it is."""
+    for lam in (0.5, 0.6):
+        outer = kernel(scalar(0.5, lam))
+        assert outer.start is None
+        assert not np.isfinite(outer.half).any()
+        assert dual(scalar(0.5, lam), worst(scalar(0.5, lam), [("v", 0, 1)])) is None
+    near = kernel(scalar(0.5, 0.49))
+    assert near.high[0, 0] == pytest.approx(1.0 / 0.01, rel=1e-6)
+    assert starts(scalar(1.0, 0.1)) is None  # the middle itself
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_runs_from_every_rest_stay_within_kernel_and_proof(seed):
+    course, random = resting(seed, M=1 + 2 * (seed % 2)), np.random.default_rng(seed)
+    outer, k = kernel(course), 5 + seed
+    questions = [("v", k, 1), ("v", k, -1), ("v", 0, 1)]
+    found = worst(course, questions)
+    before, share = points(course, 60, seed)
+    delta = random.choice([-1.0, 1.0], (len(before), *course.f.shape))
+    delta[::2] = before[::2, None]  # constant ones, and ones that move from the first sample on
+    v = np.concatenate([replay(course, delta, course.begun(before, share)), found.v])[:, :, 0]
+    assert np.all((outer.low[:, 0] <= v) & (v <= outer.high[:, 0]))
+    np.testing.assert_array_equal(found.start, course.begun(found.before, found.share))
+    for i, (_, at, side) in enumerate(questions):
+        proof = dual(course, found, i, outer)
+        assert proof is not None
+        assert proof.holds(course)
+        assert np.all(side * v[:, at] <= proof.bound)
+        assert side * found.value[i] >= (side * v[:, at]).max() - 1e-9  # nothing random beats the adversary
+        assert proof.bound <= side * (outer.high if side == 1 else outer.low)[at, 0] * (1.0 + 1e-3) + 1e-2
+
+
+def test_a_proof_for_one_start_is_none_for_a_wider_one():
+    course = resting(3, g=1)
+    found = worst(course, [("v", 8, 1)])
+    proof = dual(course, found)
+    assert proof.first == 0
+    rest = course.before
+    assert proof.holds(course)
+    assert not proof.holds(replace(course, before=replace(rest, Q=2.0 * rest.Q)))
+    assert not proof.holds(replace(course, before=replace(rest, f=3.0 * rest.f)))
+    assert not proof.holds(replace(course, start=course.start + 1.0))  # not the rest of the middle: then it is in the slack
+    assert not replace(proof, box=0.5 * proof.box).holds(course)
+    assert not replace(proof, nu=0.0 * proof.nu).holds(course)
+    assert not proof.holds(replace(course, lam=1.5 * course.lam))
+    known = replace(course, before=None)
+    assert dual(known, worst(known, [("v", 8, 1)])).bound < proof.bound
+
+
+def test_the_slope_of_the_bound_is_its_slope_for_starts_too():
+    course = resting(5, g=2)
+    found, outer = worst(course, [("v", 9, -1)]), kernel(course)
+    problem = envelopes._Problem(course, 0, 9, -1.0, 0, outer)
+    path = envelopes._along(course, 0, 9, -1.0, found.delta[0], found.start[0])
+    at = next(a for a in map(problem.started, envelopes._first_multipliers(course, path, problem.k)) if a is not None)
+    for i in (0, 7, *range(len(at.x) - 4, len(at.x))):  # multipliers of the start last
+        step = 1e-5 * np.eye(len(at.x))[i]
+        slope = (problem.at(at.x + step).value - problem.at(at.x - step).value) / 2e-5
+        assert slope == pytest.approx(at.slope[i], rel=1e-4, abs=1e-7 * at.value)
+
+
+def test_a_start_that_is_known_is_the_only_one():
+    course = replace(resting(2), before=None)
+    assert not course.rests(np.zeros((1, 4))).any()
+    np.testing.assert_array_equal(course.begun(np.ones((2, 4))), [course.start, course.start])
+    assert len(starts(course).size) == 0
+    assert float(kernel(course).state[0].max()) < 1e-100
+
+
+def test_a_course_with_constant_parameters_begins_at_their_rest():
+    course, delta = resting(7, g=1, lam=0.1), np.array([0.7, -0.4, 0.0, 1.0])
+    own = course.at(delta)
+    share = np.array([[0.3]])
+    np.testing.assert_allclose(own.begun(np.zeros((1, 4)), share), course.begun(delta[None], share), rtol=1e-12)
+    expected = replay(course, np.tile(delta, (1, len(course), 1)), course.begun(delta[None]))[0]
+    np.testing.assert_allclose(nominal(own).v, expected, atol=1e-11)
+
+
+def test_the_rest_of_another_loop_is_refused():
+    with pytest.raises(InputError, match="of another loop"):
+        replace(resting(0), before=resting(0, n=2).before)
+    with pytest.raises(InputError, match="q holds a value that is not finite"):
+        replace(resting(0), before=replace(resting(0).before, q=[np.inf, 0.0, 0.0]))
