@@ -92,6 +92,35 @@ def test_what_fails_exits_with_1_and_runs_again(folder, capsys):
     assert "does not stand" in capsys.readouterr().out
 
 
+def test_a_run_begins_at_rest_under_the_set_points_that_were_before_it(folder, capsys):
+    """From a rest at 0 to 0.7 m/s the speed is above 0.6 at once; from one at 0 it stays below."""
+    path, text = folder / "before.toml", LIMITS.format(step=0.2, low=-0.5, high=0.6, more="")
+    path.write_text(text.replace("duration = 6.0", "duration = 6.0\ninitial = {v = [0.0, 0.7]}"))
+    code, found = run(folder, "--limits", str(path), *on_model(folder), out="before")
+    assert code == 1
+    (high,) = [v for v in found["verdicts"] if v["claim"].startswith("v: high")]
+    assert (high["status"], high["margin"]) == ("FAILED", pytest.approx(-0.1, rel=1e-6))
+    assert main(["simulate", "--replay", str(folder / "before" / high["witness"])]) == 0
+    content = json.loads((folder / "before" / high["witness"]).read_text())
+    content["share"] = [0.5]
+    (folder / "changed.json").write_text(json.dumps(content))
+    assert main(["simulate", "--replay", str(folder / "changed.json")]) == 1
+    path.write_text(text.replace("duration = 6.0", "duration = 6.0\ninitial = {u = 1.0}"))
+    capsys.readouterr()
+    assert main(["check", "--controller", str(folder / "pid.json"), "--limits", str(path), *on_model(folder)]) == 2
+    assert "output of the controller 'u'" in capsys.readouterr().err
+
+
+def test_a_law_without_integral_is_checked_like_any_other(folder):
+    """Its integral is no pole at 1 that is lost."""
+    save_controller(pid(("u",), ("v",), ("v_set",), 0.02, [2.0], [0.0]), folder / "p.json")
+    path = limits(folder, "p.toml", low=-0.5, high=0.6, more="sensitivity = 5.0")
+    wanted = ["check", "--controller", str(folder / "p.json"), "--limits", path, *on_model(folder), "--out", str(folder / "pout")]
+    assert main(wanted) == 0
+    verdicts = {v["claim"]: v["status"] for v in json.loads((folder / "pout" / "check.json").read_text())["verdicts"]}
+    assert (verdicts["stable"], verdicts["peak |S| at most 5"], verdicts["v: high 0.6 m/s"]) == ("PROVED", "PASSED", "PROVED")
+
+
 def test_a_margin_that_is_not_there_fails_or_stays_open(folder):
     code, found = run(
         folder, "--limits", limits(folder, "m.toml", more="margin = 1000.0\nmoving = true"), *on_model(folder), out="m"

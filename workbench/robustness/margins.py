@@ -107,7 +107,7 @@ class Falsified:
 
     def replay(self, loop: UncertainLoop) -> float:
         """Largest modulus of a pole of the product over one period."""
-        return float(_carried(loop, self.kappa, self.delta[None]).size[0])
+        return _growth(loop, self.kappa, self.delta)
 
 
 @record
@@ -469,12 +469,12 @@ def _lost(loop: UncertainLoop, delta: np.ndarray, below: float, least: float = 1
             kappa *= 1.5
     delta, size = _improved(loop, kappa, delta, least)
     while size.max() >= 1.0:
-        own = delta[size.argmax()][None]
+        own = delta[size.argmax()]
         low, high = 0.0, kappa
         while high - low > 1e-7 * high:
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if _carried(loop, middle, own).size[0] >= 1.0 else (middle, high)
-        best = Falsified(high, own[0], float(_carried(loop, high, own).size[0]))
+            low, high = (low, middle) if _growth(loop, middle, own) >= 1.0 else (middle, high)
+        best = Falsified(high, own, _growth(loop, high, own))
         if high >= kappa * (1.0 - 1e-4):
             break
         kappa = high
@@ -502,6 +502,14 @@ def _improved(loop: UncertainLoop, kappa: float, delta: np.ndarray, least: float
         delta = np.where(better[:, None, None], other, delta)
         at = _Carried(np.where(better, new.size, at.size), np.where(better[:, None, None], new.slope, at.slope))
     return delta, at.size
+
+
+def _growth(loop: UncertainLoop, kappa: float, delta: np.ndarray) -> float:
+    """Largest modulus of a pole over one period of delta (L p)."""
+    whole = np.eye(len(loop.A))
+    for A in loop.at(kappa * delta):
+        whole = A @ whole
+    return float(np.abs(np.linalg.eigvals(whole)).max())
 
 
 class _Carried(NamedTuple):
