@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete
 
 from controllers.pid import pid
-from controllers.pid_design import PEAKS, design_pid, loops_of, margins_of
+from controllers.pid_design import PEAKS, closed_loop, design_pid, loops_of, margins_of
 from controllers.tuning import Bounds
 from tests.controllers.test_pid_design import DT, TURNED, machine
 from workbench.data import Channel
@@ -62,3 +63,47 @@ def test_the_margins_of_one_law_are_the_worst_of_all_its_models():
         whose = np.argmax([getattr(m, key) for m in each], axis=0)
         expected = [each[w].frequencies[i, j] for i, w in enumerate(whose)]
         np.testing.assert_array_equal(design.margins.frequencies[:, j], expected)
+
+
+@pytest.mark.parametrize("zeta", [0.3, 0.03, 0.003])
+def test_peaks_between_the_frequencies_of_a_grid_are_seen(zeta):
+    """1 / (s^2 + 2 zeta s + 1) under laws that only just keep it stable, against grids across every pole, to 1e-4."""
+    A, B, C, D, _ = cont2discrete((*_companion(zeta), np.array([[1.0, 0.0]]), np.zeros((1, 1))), DT)
+    point = OperatingPoint(CONSTANT, u=np.zeros((1, 1)), y=np.zeros((1, 1)))
+    model = constant_model("m", DT, ([Channel("u", "V", "input")], [Channel("y", "m", "output")]), (A, B, C, D), point)
+    for P, integral in ((0.5 * zeta, 0.01 * zeta), (0.1 * zeta, 0.9 * zeta), (2.0 * zeta, 0.3 * zeta)):
+        law = pid(("u",), ("y",), ("r",), DT, [[P]], [[integral]], [[0.0]], Tf=0.3)
+        found = margins_of(law, model, [None])
+        assert found.radius[0] < 1.0
+        poles = closed_loop(law, model, None).system.poles.astype(complex)
+        poles = np.log(poles[np.abs(poles) > 1e-6, None]) / DT
+        across = np.abs(poles.imag) + np.abs(poles.real) * np.tan(np.linspace(-1.57, 1.57, 4001))
+        omega = np.sort(np.append(np.geomspace(1e-8, np.pi / DT, 4000), across[(across > 1e-8) & (across < np.pi / DT)]))
+        z = np.exp(1j * omega * DT)
+        L = (P + integral * DT / (z - 1.0)) * (C @ np.linalg.solve(z[:, None, None] * np.eye(2) - A, B))[:, 0, 0]
+        expected = np.abs(1.0 / (1.0 + L)).max(), np.abs(L / (1.0 + L)).max()
+        assert [found.sensitivity[0], found.complementary[0]] == pytest.approx(expected, rel=1e-4)
+        assert found.loops[0, 0] == pytest.approx(expected[0], rel=1e-4)
+
+
+def _companion(zeta):
+    return np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]), np.array([[0.0], [1.0]])
+
+
+def test_a_law_has_its_channels_in_its_own_order():
+    """Commands and measurements of a law in another order than those of the model: the margins are the same."""
+    random = np.random.default_rng(3)
+    A = np.diag([0.6, 0.4, -0.3]) + 0.1 * random.normal(size=(3, 3))
+    B, C = np.eye(3, 2) + 0.2 * random.normal(size=(3, 2)), np.eye(2, 3) + 0.2 * random.normal(size=(2, 3))
+    channels = [Channel(n, "V", "input") for n in "ab"], [Channel(n, "m", "output") for n in "de"]
+    point = OperatingPoint(CONSTANT, u=np.zeros((1, 2)), y=np.zeros((1, 2)))
+    model = constant_model("m", DT, channels, (A, B, C, np.zeros((2, 2))), point)
+    Kp, Ki = 0.01 * random.normal(size=(2, 2)), 0.1 * np.linalg.inv(C @ np.linalg.solve(np.eye(3) - A, B))
+    one = pid("ab", "de", ("d_set", "e_set"), DT, Kp, Ki, 0.0 * Kp, Tf=0.3)
+    turned = pid("ba", "ed", ("e_set", "d_set"), DT, *(M[::-1, ::-1] for M in (Kp, Ki, 0.0 * Kp)), Tf=0.3)
+    scale = np.array([0.5, 2.0])
+    first, second = (margins_of(law, model, [None], BOUNDS, scale) for law in (one, turned))
+    assert first.radius[0] < 1.0
+    for key in ("sensitivity", "complementary", "effort", "radius", "bandwidth"):
+        np.testing.assert_allclose(getattr(second, key), getattr(first, key), rtol=1e-6)
+    np.testing.assert_allclose(second.delay[:, ::-1], first.delay, rtol=1e-6)

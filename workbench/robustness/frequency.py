@@ -26,7 +26,8 @@ from workbench.records import field, record
 
 CLOSE = 1e-6  # by which a peak is at most larger than what is told
 ROUNDS = 50  # levels; each halves the pieces at least, and near a peak squares the distance
-START = 1e-6 * np.pi  # rad / sample: in place of 0, where laws with an integral have a pole
+START = 1e-4  # of the slowest pole: a frequency that is as good as 0, and below which a peak is off by the square of that
+STILL = 1e-9  # rad (a sample): a pole below is the integral of a law, and no slow pole
 SPREAD = 24  # frequencies besides those of the poles that a search begins with
 BESIDE = 0.01  # |Re s| / |s| up to which an eigenvalue is looked at: one too many costs nothing
 ROUNDING = 1e-15  # of a level: what keeps it from being a singular value at the highest frequency, to the last digit
@@ -69,22 +70,25 @@ class System:
 
     @property
     def stable(self) -> bool:
-        return bool((np.abs(self.poles) < 1.0).all() if self.dt else (self.poles.real < 0.0).all())
+        return bool((np.abs(self.poles) < 1.0).all() if self.dt else (np.real(self.poles) < 0.0).all())
 
     @cached_property
     def ends(self) -> tuple[float, float]:
-        """Lowest and highest frequency [rad/s] that count as 0 and as the last one."""
-        if self.dt:
-            return START / self.dt, np.pi / self.dt
-        size = np.abs(self.poles)
-        size = size[size > 0.0]
-        return (START * float(size.min()), float(size.max()) / START) if len(size) else (START, 1.0 / START)
+        """Lowest and highest frequency [rad/s]: what stands for 0, where laws with an integral have a pole, and for the last."""
+        size = np.abs(self._rates)
+        size = size[size * (self.dt or 1.0) > STILL]
+        slowest, fastest = (float(size.min()), float(size.max())) if len(size) else (1.0, 1.0)
+        return START * min(slowest, 1.0 / self.dt if self.dt else np.inf), np.pi / self.dt if self.dt else fastest / START
+
+    @cached_property
+    def _rates(self) -> np.ndarray:
+        """The poles over s [rad/s], but for what is over within a sample."""
+        poles = self.poles.astype(complex)
+        return np.log(poles[poles != 0.0]) / self.dt if self.dt else poles
 
     def around(self, widths: np.ndarray) -> np.ndarray:
         """Frequencies [rad/s] at which the poles turn, and so many widths of their peaks beside them, within the ends."""
-        poles = self.poles.astype(complex)
-        s = np.log(poles[poles != 0.0]) / self.dt if self.dt else poles
-        found = np.abs(s.imag)[:, None] + np.abs(s.real)[:, None] * np.append(widths, 0.0)
+        found = np.abs(np.imag(self._rates))[:, None] + np.abs(np.real(self._rates))[:, None] * np.append(widths, 0.0)
         return np.unique(np.clip(found, *self.ends))
 
     def cuts(self, level: float) -> np.ndarray:
