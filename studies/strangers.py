@@ -43,7 +43,7 @@ Say = Callable[[str], None]
 
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 400, 28
-LAYOUT = 1  # of a row: rows of another layout are not counted with these
+LAYOUT = 2  # of a row: rows of another layout are not counted with these
 
 
 @record

@@ -24,6 +24,7 @@ from workbench.records import record
 LOW, HIGH = 2.0, 20.0  # multiples of the detection limit
 RECORDS, HELD_OUT = 3, 2
 AT_ONCE = 4  # effects whose limits are found together
+RIVAL = 0.1  # of its largest size, at which an effect is taken to be linear
 TRIES, SHRINK = 8, 0.6
 OUTSIDE = "outside"  # the place of physics that the catalogue does not have
 PHASED = {"imbalance", "torque-ripple", "periodic-tension"}
@@ -349,14 +350,17 @@ def _order(keys: list[str], random: np.random.Generator) -> list[str]:
 
 
 def _limits(bench: _Bench, log: Log, keys: list[str], seed: int) -> dict[str, tuple[float, Any]]:
-    """(share of the largest size from which it shows, what makes it at a share and a multiple) by key."""
-    s, makers, tried = bench.s, {}, {}
-    for k, key in enumerate(keys):
-        makers[key] = _maker(bench, log, key, [seed, k])
-        made = [makers[key](share, 0.0) for share in SIZES]
-        tried[key] = [_tried(h) for h in made]
+    """(share of the largest size from which it shows, what makes it at a share and a multiple) by key.
+
+    Physics outside the catalogue shows where no effect of the catalogue can stand for it.
+    """
+    s = bench.s
+    makers = {key: _maker(bench, log, key, [seed, k]) for k, key in enumerate(keys)}
+    tried = {key: [_tried(make(share, 0.0)) for share in SIZES] for key, make in makers.items()}
+    others = keys_of(s.machine) if any(key.endswith(f"@{OUTSIDE}") for key in keys) else []
+    rivals = [_tried(_maker(bench, log, key, [seed, 100 + k])(RIVAL, 0.0)) for k, key in enumerate(others)]
     with np.errstate(all="ignore"):
-        found = limits(s.machine, s.numbers, log, s.dt, tried, s.seen)
+        found = limits(s.machine, s.numbers, log, s.dt, tried, s.seen, rivals)
     return {key: (found[key], makers[key]) for key in keys}
 
 

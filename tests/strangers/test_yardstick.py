@@ -65,6 +65,18 @@ def test_the_limit_grows_with_the_noise_and_what_nothing_moves_has_none(bench):
     assert found[0]["nothing"] == np.inf
 
 
+def test_what_a_rival_can_mimic_does_not_count(bench):
+    key, log = "offset@pump", bench.run((), 2)
+    tried = {key: [Tried({key: {"level": share}}) for share in SIZES]}
+
+    def against(*rivals):
+        return limits(TANK, bench.s.numbers, log, bench.s.dt, tried, (0,), rivals)[key]
+
+    alone = against()
+    assert against(Tried({key: {"level": 0.01}})) > 3.0 * alone  # itself, in another size: only its curvature is left
+    assert alone < against(Tried({"sensor-lag@level": {"time": 0.5}})) < 3.0 * alone
+
+
 def test_the_crossing_lies_between_the_sizes_that_were_tried():
     assert _crossing(FIVE_SIGMA * 9.0 * SIZES**2) == pytest.approx(1.0 / 3.0, rel=1e-6)
     assert _crossing(FIVE_SIGMA * 1e8 * SIZES**2) == pytest.approx(1e-4, rel=1e-6)

@@ -33,36 +33,44 @@ class Tried:
 
 
 def limits(
-    machine: Machine, numbers: Numbers, log: Log, dt: float, tried: Mapping[str, Sequence[Tried]], seen: Sequence[int]
+    machine: Machine,
+    numbers: Numbers,
+    log: Log,
+    dt: float,
+    tried: Mapping[str, Sequence[Tried]],
+    seen: Sequence[int],
+    rivals: Sequence[Tried] = (),
 ) -> dict[str, float]:
     """The share of its largest size from which each of `tried` shows, by name; inf where the largest does not.
 
-    log: R runs without any effect, as lanes. tried: what is tried at each of SIZES. seen: the outputs that are logged.
+    log: R runs without any effect, as lanes. tried: what is tried at each of SIZES. seen: the outputs that are logged. rivals:
+    what any one of these can mimic, at whatever size, does not count either.
     """
     sigma = {q.name: q.tolerance / np.sqrt(3.0) for q in machine.plant.parameters if q.tolerance > 0.0}
     nx, runs = log.states.shape[1:]
     spread = log.states.std(axis=(0, 2)) + 1e-9 * np.abs(log.states).max(axis=(0, 2)) + 1e-12
     variants = [(Tried(), np.zeros(nx))]
-    variants += [(Tried(numbers={name: numbers[name] * (1.0 + MOVED * s)}), np.zeros(nx)) for name, s in sigma.items()]
     variants += [(Tried(), START * spread * unit) for unit in np.eye(nx)]
-    variants += [(one, np.zeros(nx)) for some in tried.values() for one in some]
+    variants += [(Tried(numbers={name: numbers[name] * (1.0 + MOVED * s)}), np.zeros(nx)) for name, s in sigma.items()]
+    variants += [(one, np.zeros(nx)) for some in (*tried.values(), rivals) for one in some]
     window = round(machine.lab.window / dt) or len(log.states)
     y = _repeated(machine, numbers, log, dt, variants, window)[:, list(seen)]  # (N, ny, R, V)
-    left = log.measured[:, list(seen)] - y[..., 0]
-    moved = _whitened(y[..., 1:] - y[..., :1], left)
-    moved[..., : len(sigma)] /= MOVED
-    A, b, c = np.eye(len(sigma)), 0.0, 0.0
+    moved = _whitened(y[..., 1:] - y[..., :1], log.measured[:, list(seen)] - y[..., 0])
+    G = 0.0
     for r in range(runs):
         for first in range(0, len(moved), window):
             block = moved[first : first + window, :, r].reshape(-1, moved.shape[-1])
-            starts, rest = block[:, len(sigma) : len(sigma) + nx], np.delete(block, range(len(sigma), len(sigma) + nx), axis=1)
+            starts, rest = block[:, :nx], block[:, nx:]
             U, s, _ = np.linalg.svd(starts / (np.linalg.norm(starts, axis=0) + 1e-300), full_matrices=False)
             Q = U[:, s > 1e-6]
             rest = rest - Q @ (Q.T @ rest)
-            S, d = rest[:, : len(sigma)], rest[:, len(sigma) :]
-            A, b, c = A + S.T @ S, b + S.T @ d, c + (d**2).sum(axis=0)
-    shown = np.maximum(c - (b * np.linalg.solve(A, b)).sum(axis=0), 1e-300).reshape(len(tried), len(SIZES))
-    return {name: _crossing(own) for name, own in zip(tried, shown, strict=True)}
+            G = G + rest.T @ rest
+    n, m = len(sigma), len(tried) * len(SIZES)
+    S = G[:n, :n] + MOVED**2 * np.eye(n)  # parameters have a prior
+    G = G[n:, n:] - G[n:, :n] @ np.linalg.solve(S, G[:n, n:])  # what is left of effects and rivals beside them
+    mimicked = G[:m, m:] ** 2 / np.maximum(np.diag(G)[m:], 1e-9)
+    shown = np.diag(G)[:m] - np.nan_to_num(mimicked, posinf=0.0).max(axis=1, initial=0.0)
+    return {name: _crossing(own) for name, own in zip(tried, np.maximum(shown, 1e-300).reshape(len(tried), -1), strict=True)}
 
 
 def _crossing(shown: np.ndarray) -> float:
