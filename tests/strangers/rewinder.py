@@ -98,7 +98,7 @@ STRANGER = Machine(
         open=(Course(8.0, 12.0, (1.0, 4.0)), Course(1.8, 4.0, (0.7, 3.0))),
         settle=2.0,
     ),
-    fine=0.0034,
+    fine=0.005,
     slowest=0.1,
     sound=lambda x: (x[2] > 1.0) & (x[0] > 5.0) & (x[3] < 0.15),
     caps={"periodic-tension@web": 100.0, "nonlinear-elasticity@web": 0.5},
