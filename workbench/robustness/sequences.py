@@ -146,7 +146,8 @@ def load_sequence(path: str | Path) -> Witness:
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError("not a parameter sequence", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
     if content.get("version") != VERSION:
-        raise InputError(f"version {content.get('version')}, this program reads {VERSION}", file=path)
+        problem = f"version {content.get('version')}, this program reads {VERSION}"
+        raise InputError(problem, file=path, mend="run the check again")
     try:
         return _growth(content) if content["kind"] == "growth" else _broken(content, path)
     except KeyError as reason:

@@ -323,7 +323,10 @@ def _judged(
         who = "parameters that move within their boxes" if moving else "constant parameters that no record refutes"
         return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s")
     if until == len(course) and free == len(course):
-        said = f"whatever the parameters do at {len(course)} samples; the worst sequences found leave {-beyond:.3g} {unit}"
+        begun = "from the rest of any machine of the boxes" if course.before else "from its start"
+        said = (
+            f"whatever the parameters do at {len(course)} samples, {begun}; the worst sequences found leave {-beyond:.3g} {unit}"
+        )
         return kept(Status.PROVED, max(left, 0.0), said)
     if outer.start is None:
         said = "no set is known that holds the rests of all machines of the boxes: a run may begin anywhere"

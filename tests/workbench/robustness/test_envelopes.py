@@ -268,8 +268,10 @@ def test_channels_without_parameters_and_parameters_without_width():
     np.testing.assert_allclose(kernel(course).half, kernel(plain).half, rtol=1e-9)
     found, same = (worst(one, both_sides(one, 29), starts=32) for one in (course, plain))  # other random signs
     np.testing.assert_allclose(found.value, same.value, rtol=1e-2)
-    for i in range(4):
-        assert dual(course, found, i).bound == pytest.approx(dual(plain, same, i).bound, rel=1e-2)
+    for i in range(4):  # one problem, but for rounding: the search ends where R is about to break down, each time a bit elsewhere
+        bounds = np.array([dual(course, found, i).bound, dual(plain, same, i).bound])
+        own = bounds - found.side[i] * nominal(course).v[29, int(found.signal[i])]
+        assert own[0] == pytest.approx(own[1], rel=5e-2)
 
 
 def test_without_width_the_envelope_is_the_nominal_run():
