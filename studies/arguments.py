@@ -235,6 +235,19 @@ def parse_numbers(texts: Iterable[str]) -> dict[str, float]:
     return values
 
 
+def numbers(text: str | None, option: str) -> list[float] | None:
+    """[0.1, 2.0] from "0.1,2"; None where the option is not given."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = [math.nan]
+    if not all(map(math.isfinite, values)):
+        raise InputError(f"{option} {text!r} is not a number, or several", mend=f"write e.g. {option} 0.01 or {option} 0.01,0.02")
+    return values
+
+
 def names(text: str | None) -> tuple[str, ...]:
     """("V1", "V2") from "V1,V2"."""
     found = tuple(name.strip() for name in text.split(",") if name.strip()) if text else ()

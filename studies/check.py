@@ -17,7 +17,7 @@ from controllers.files import controller_content, controller_of
 from controllers.pid_design import feedback_of, worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import DEFAULT
-from studies.arguments import Chosen, choose_controller, choose_plant, run_folder
+from studies.arguments import Chosen, choose_controller, choose_plant, numbers, run_folder
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -157,8 +157,7 @@ def verdict_table(verdicts: Sequence[Verdict], title: str = "Verdicts") -> Table
 
 def open_errors(model: LPVModel, records: Sequence[Any], options: Namespace) -> Open:
     """What the records leave open of the model's errors."""
-    bound = None if options.bound is None else [float(part) for part in options.bound.split(",")]
-    return opened(ErrorRegression(options.lags, bound), model, Dataset(tuple(records)))
+    return opened(ErrorRegression(options.lags, numbers(options.bound, "--bound")), model, Dataset(tuple(records)))
 
 
 def opened(method: ErrorRegression, model: LPVModel, records: Dataset) -> Open:

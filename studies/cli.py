@@ -4,6 +4,7 @@
 import argparse
 import os
 import sys
+import tempfile
 import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -366,12 +367,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def console() -> int:
-    """What the shell runs: a crash is no answer."""
+    """What the shell runs: an error of the program itself is no answer, and ends with 70 and one sentence.
+
+    The traceback is for its makers: in a file, whose place is said.
+    """
     try:
         return main()
-    except Exception:  # an uncaught one would end with 1, which is the answer no
-        traceback.print_exc()
+    except Exception as reason:  # an uncaught one would end with 1, which is the answer no
+        command = next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+        path = _traceback_file(traceback.format_exc())
+        sys.stderr.write(
+            f"workbench {command}: an error of the workbench itself, nothing is decided: {type(reason).__name__}: {reason}\n"
+            f"  mend: please report it with {path}; the inputs that led to it may still be sound\n"
+        )
         return CRASHED
+
+
+def _traceback_file(text: str) -> str:
+    """A new file that holds the words typed and this text: in the folder --out, or where temporary files lie."""
+    words = sys.argv[1:]
+    out = words[words.index("--out") + 1] if "--out" in words[:-1] else None
+    for folder in (out, None):
+        try:
+            number, path = tempfile.mkstemp(".txt", "workbench-error-", folder)
+        except OSError:
+            continue
+        with os.fdopen(number, "w", encoding="utf-8") as file:
+            file.write(f"workbench {' '.join(words)}\n{text}")
+        return path
+    return "the words that you typed"
 
 
 if __name__ == "__main__":

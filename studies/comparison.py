@@ -8,6 +8,7 @@ import numpy as np
 from studies.envelopes import covered_verdict, envelope_sections
 from studies.results import Result
 from workbench.data import Experiment
+from workbench.errors import InputError
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.metrics import Score
@@ -34,7 +35,10 @@ def residual_table(models: Mapping[str, LPVModel], records: Iterable[Experiment]
     columns: dict[str, None] = {}
     for name, model in models.items():
         for e in records:
-            checks = residual_test(model, e, closed_loop=closed_loop).checks
+            try:
+                checks = residual_test(model, e, closed_loop=closed_loop).checks
+            except InputError:  # too short a record, or an unstable model: the row stays empty
+                checks = ()
             p = {f"{c.output}{f', {c.input}' if c.kind == 'input' else ', white'}": c.p_family for c in checks}
             columns |= dict.fromkeys(p)
             rows.append((f"{name}, {e.name}", p))

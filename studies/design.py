@@ -24,7 +24,7 @@ from controllers.pid_design import (
 from controllers.scheduled_pid import Gains, ScheduledPID
 from controllers.tube import taken
 from controllers.tuning import DEFAULT, Bounds
-from studies.arguments import Chosen, choose_plant, names, parse_numbers, run_folder
+from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.files import write_json, write_text
@@ -136,12 +136,7 @@ def _errors_of(options: Namespace, model: LPVModel, progress: Say) -> tuple[Inte
     if not options.records:
         raise InputError("--tube without records", mend="give --records R.csv ..: they bound the model's errors")
     progress("errors that the records leave open")
-    bound = None
-    if options.bound is not None:
-        try:
-            bound = [float(part) for part in options.bound.split(",")]
-        except ValueError:
-            raise InputError(f"--bound {options.bound}", mend="a number for each output, with commas between") from None
+    bound = numbers(options.bound, "--bound")
     return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(read(path) for path in options.records)))
 
 

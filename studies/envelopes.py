@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from studies.arguments import numbers
 from workbench.data import Channel, Dataset, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.intervals.coverage import SAYS_NOTHING, Coverage, pooled
@@ -49,7 +50,7 @@ def interval_method(options: Namespace) -> Method:
         if options.input_error is not None:
             raise InputError("simulation boxes take the inputs as exact", mend="leave out --e-u")
         return OutputErrorRegression(structure, options.output_error)
-    errors = None if options.input_error is None else [_number(text) for text in names_or_one(options.input_error)]
+    errors = numbers(options.input_error, "--e-u")
     one = errors[0] if errors is not None and len(errors) == 1 else errors
     return IntervalRegression(structure, SEMANTICS[promise](), _partition(options), options.output_error, one)
 
@@ -75,18 +76,6 @@ def _partition(options: Namespace) -> Modes:
         return OneMode()
     criterion = MaximumRadius() if options.maximum_radius else MeanRadius()
     return InTime(options.precision, options.shortest, criterion, options.tolerance)
-
-
-def names_or_one(text: str) -> Sequence[str]:
-    """The parts of a list of numbers."""
-    return [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"{text!r} is not a number", mend="write e.g. --e-u 0.01 or --e-u 0.01,0.02") from None
 
 
 def fit_outputs(method: Method, dataset: Dataset) -> dict[str, IntervalModel]:

@@ -86,6 +86,12 @@ def residual_test(model: LPVModel, experiment: Experiment, *, lags: int = 25, cl
         )
     names = [c.name for c in model.outputs]
     e = (experiment[names] - model.predict(experiment))[warmup:]
+    if not np.isfinite(e).all():
+        raise InputError(
+            f"one-step predictions of model {model.name!r} leave the numbers: it is unstable on this record",
+            file=experiment.name,
+            mend="identify again, with another order or method",
+        )
     u = experiment[[c.name for c in model.inputs]][warmup:]
     closed = feedback(experiment).detected if closed_loop is None else closed_loop
     checks = [_whiteness(name, e[:, j], lags) for j, name in enumerate(names)]
@@ -139,6 +145,7 @@ def _cross(output: str, source: str, e: np.ndarray, u: np.ndarray, lags: int, cl
 
 def _correlation(a: np.ndarray, b: np.ndarray, lags: Sequence[int] | np.ndarray) -> np.ndarray:
     """r(k) = sum_t a(t) b(t - k) / sqrt(sum a^2 sum b^2), means taken out."""
+    a, b = (x / max(float(np.abs(x).max()), 1e-300) for x in (a, b))  # what is huge has no square
     a, b = a - a.mean(), b - b.mean()
     size = np.sqrt((a @ a) * (b @ b))
     if size == 0.0:

@@ -274,12 +274,18 @@ def test_the_shell_is_told_what_could_stand_there(tmp_path, typed, offered):
     assert {line.strip() for line in told.read_text().splitlines()} == offered
 
 
-def test_what_the_shell_runs_says_a_crash_with_a_code_that_is_no_answer(monkeypatch, capsys):
+def test_what_the_shell_runs_says_a_crash_with_a_code_that_is_no_answer(monkeypatch, capsys, tmp_path):
     """1 would mean that a check has failed."""
-    monkeypatch.setattr(sys, "argv", ["workbench", "doctor"])
+    monkeypatch.setattr(sys, "argv", ["workbench", "doctor", "--out", str(tmp_path)])
     monkeypatch.setattr("studies.commands.run", lambda options: 1 / 0)
     assert cli.console() == 70
-    assert "ZeroDivisionError" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    (kept,) = tmp_path.glob("workbench-error-*.txt")
+    assert said.startswith("workbench doctor: an error of the workbench itself, nothing is decided: ZeroDivisionError")
+    assert str(kept) in said
+    assert "Traceback" not in said
+    assert "Traceback" in kept.read_text()
+    assert kept.read_text().startswith(f"workbench doctor --out {tmp_path}\n")
     monkeypatch.setattr("studies.commands.run", lambda options: 1)
     assert cli.console() == 1
     assert '"studies.cli:console"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")

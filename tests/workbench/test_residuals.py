@@ -1,5 +1,7 @@
 """Residual tests: uniform p-values under the true model, rejection of wrong ones, and no false alarm from feedback."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -84,3 +86,11 @@ def test_family_wise_values_are_holms():
 def test_too_short_records_are_refused():
     with pytest.raises(InputError, match="lags"):
         residual_test(truth(), machine(0, 100))
+
+
+def test_an_unstable_predictor_is_told_as_such_and_huge_records_have_a_test():
+    with pytest.raises(InputError, match="leave the numbers"), np.errstate(all="ignore"):
+        residual_test(truth(pole=40.0), machine(0, 2000), closed_loop=False)
+    e = machine(4, 2000)
+    small, huge = (residual_test(truth(), replace(e, values=size * e.values), closed_loop=False) for size in (1.0, 1e160))
+    assert [c.p_value for c in huge.checks] == pytest.approx([c.p_value for c in small.checks])

@@ -418,12 +418,16 @@ def _polytope(image: np.ndarray, reach: np.ndarray, rounding: float) -> np.ndarr
 
 def _extreme(points: np.ndarray, outward: float) -> np.ndarray:
     """Vertices of a hull that has every point at least `outward` inside; points (m, 0..3) of unit extents, mean zero."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
     if points.shape[1] == 0:
         return np.zeros((1, 0))
     if points.shape[1] == 1:
         return np.array([points.min(axis=0) - outward, points.max(axis=0) + outward])
-    found = ConvexHull(points)
+    try:
+        found = ConvexHull(points)
+    except QhullError:  # flat to its own rounding: the box around all points holds as much
+        ends = np.stack([points.min(axis=0) - outward, points.max(axis=0) + outward], axis=1)
+        return np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, points.shape[1])
     inside = -float(found.equations[:, -1].max())  # distance from the mean to the nearest facet
     return points[found.vertices] * (1 + (outward + QHULL) / inside)

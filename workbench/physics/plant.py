@@ -29,6 +29,7 @@ from workbench.records import field, record
 OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than its machine has its time in another unit
 SIXTY = (60.0, 3600.0)  # so has one that is sampled so many times more slowly or faster
 SAME_TIMES = 0.02  # to within that
+SIZES = tuple(sign * size for sign in (1.0, -1.0) for size in (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3))  # see Start
 
 
 @record
@@ -72,7 +73,10 @@ class Start:
     """Where a run starts: `fixed` state values (numbers or parameter names), the rest solved so that `zero` stand still.
 
     Unknowns `solve_for` (states or inputs) are found from derivative = 0 of as many states in `zero`; whatever is named
-    nowhere starts at 0. `guess` helps where 0 is no place to start Newton's method.
+    nowhere starts at 0. Newton's method begins at `guess`, by default 0. Where it fails there (a tank's outflow has no slope at
+    level 0, a thrust of u^2 none at u = 0), unknowns without a guess within the limits begin at 1, 0.1, 10, 0.01, 100, 0.001 and
+    1000, then at their negatives, and guesses are stretched by as much; the first that ends at rest within the plant's limits is
+    taken. So of two answers +u and -u the positive one is; `guess` asks for the other.
     """
 
     fixed: Mapping[str, float | str] = field(default_factory=dict)
@@ -159,6 +163,14 @@ class Plant:
             check_known("channel", name, [c.name for c in (*self.inputs, *self.outputs)], file=self.name)
         for name in (*self.limits, *self.process):
             check_known("state", name, self.state_names, file=self.name)
+        for name in (*self.start.fixed, *self.start.guess, *self.start.solve_for):
+            check_known("state or input", name, (*self.state_names, *self.input_names), file=f"{self.name}, Start")
+        for name in self.start.zero:
+            check_known("state", name, self.state_names, file=f"{self.name}, Start")
+        if len(self.start.solve_for) != len(self.start.zero):
+            unknowns, equations = _several(self.start.solve_for, "unknown"), _several(self.start.zero, "rate")
+            mend = "solve for as many states and inputs as rates shall be 0"
+            raise InputError(f"{unknowns}, but {equations} that shall be 0", file=f"{self.name}, Start", mend=mend)
         for port in self.ports:
             if hasattr(port, "speed"):
                 check_known("state", port.speed, self.state_names, file=self.name)
@@ -541,9 +553,10 @@ class Plant:
     def equilibria(self, p: np.ndarray, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
         """Equilibria x0 (R, nx), u0 (R, nu) for R parameter vectors p (R, np), effects neutral.
 
-        Newton's method on the traced equation, each point to its own convergence, so that none depends on its neighbours. A fixed
-        value among those to be solved for replaces the solution: the plant then starts beside its equilibrium. Raises InputError
-        where the method does not converge.
+        Newton's method on the traced equation, each point to its own convergence, so that none depends on its neighbours; where
+        it does not converge, or ends outside of the plant's limits, the search that `Start` describes. A fixed value among those
+        to be solved for replaces the solution: the plant then starts beside its equilibrium. Raises InputError, with the number
+        of unknowns and equations, where nothing is found.
         """
         if len(p) > 1:  # in a sweep over seeds or effects few differ
             rows, which = np.unique(p, axis=0, return_inverse=True)
@@ -558,33 +571,118 @@ class Plant:
             column = p[:, own.index(check_known("parameter", value, own, file=self.name))] if isinstance(value, str) else value
             z[:, names.index(name)] = column
         unknown = [names.index(name) for name in self.start.solve_for]
-        zero = [self.state_names.index(name) for name in self.start.zero]
-        nx, eta = len(self.states), np.repeat(self.neutral[None], len(p), axis=0)
-        moving = np.ones((len(p), 1), dtype=bool)
-        for _ in range(50 if unknown else 0):
-            residual = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
-            A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)
-            J = np.concatenate([A, B], axis=2)[:, zero][:, :, unknown]
-            try:
-                step = np.linalg.solve(J, residual[:, :, None])[:, :, 0]
-            except np.linalg.LinAlgError:
-                raise InputError(
-                    f"{', '.join(self.start.solve_for)} do not determine an equilibrium", file=self.name, mend="see Start"
-                ) from None
-            z[:, unknown] -= np.where(moving, step, 0.0)
-            moving &= ~(np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown])), axis=1, keepdims=True) < 1e-13)
-            if not moving.any():
-                break
-        else:
-            if unknown:
-                raise InputError(
-                    "no equilibrium found for these parameters and start values",
-                    file=self.name,
-                    mend="are they possible together? otherwise give the plant's Start a better guess",
-                )
+        if unknown:
+            guess = z[:, unknown]
+            z = self._still(z, p)
+            low, high = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.start.solve_for]).T
+            inside = ((z[:, unknown] >= low) & (z[:, unknown] <= high)).all(axis=1)  # false of what is no number
+            for i in np.flatnonzero(~inside):
+                z[i] = self._searched(z[i], guess[i], p[i], low, high)
         for name in set(fixed) & set(self.start.solve_for):
             z[:, names.index(name)] = fixed[name]
-        return z[:, :nx], z[:, nx:]
+        return z[:, : len(self.states)], z[:, len(self.states) :]
+
+    def _still(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """z (R, nx + nu) with the unknowns of `start` where Newton's method from there ends, NaN where it does not converge."""
+        unknown = [(*self.state_names, *self.input_names).index(name) for name in self.start.solve_for]
+        z, moving = z.copy(), np.ones(len(z), dtype=bool)
+        with np.errstate(invalid="ignore", over="ignore"):
+            for _ in range(50):
+                rates, J = self._rates_at(z, p)
+                step = np.where((rates == 0.0).all(axis=1, keepdims=True), 0.0, _solved(J, rates))  # u^2 at rest has no slope
+                z[:, unknown] -= np.where(moving[:, None], step, 0.0)
+                moving &= ~(np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown])), axis=1) < 1e-13)
+                if not moving.any():
+                    break
+        z[np.ix_(moving, unknown)] = np.nan
+        return z
+
+    def _searched(self, z: np.ndarray, guess: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """A point z (nx + nu) at rest within the limits, sought from the guess and around it: see `Start`.
+
+        Damped least squares passes the places where a root has no slope or a square none, Newton's method ends it.
+        """
+        from scipy.optimize import least_squares
+
+        unknown = [(*self.state_names, *self.input_names).index(name) for name in self.start.solve_for]
+        outside, trial = z, z.copy()
+
+        def at(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            trial[unknown] = values
+            rates, J = self._rates_at(trial[None], p[None])
+            return rates[0], J[0]
+
+        nearest, away, moves = guess, np.inf, np.zeros((len(self.start.zero), len(unknown)), dtype=bool)
+        for size in (0.0, *SIZES):
+            none = (guess == 0.0) | (guess < low) | (guess > high)
+            first = np.clip(np.where(none, size, guess * (1.0 + size)), low, high)
+            rates, J = at(first)
+            moves |= J != 0.0
+            if not (np.isfinite(rates).all() and np.isfinite(J).all()):
+                continue
+            bounds = low - 1e-9 * np.abs(low) - 1e-300, high + 1e-9 * np.abs(high) + 1e-300  # a guess may lie at a limit
+            try:
+                with np.errstate(all="ignore"):
+                    found = least_squares(lambda v: at(v)[0], first, lambda v: at(v)[1], bounds, x_scale="jac").x
+            except (ValueError, np.linalg.LinAlgError):  # a slope that is no number on the way
+                continue
+            trial[unknown] = found
+            rest = self._still(trial[None], p[None])[0]
+            if ((rest[unknown] >= low) & (rest[unknown] <= high)).all():
+                return rest
+            left = float(np.max(np.abs(at(found)[0])))
+            if left < away:
+                nearest, away = found, left
+        if np.isfinite(outside).all():
+            return outside
+        raise self._no_start(nearest, away, moves)
+
+    def _rates_at(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rates (R, n) of the states in `start.zero` at z (R, nx + nu), and their slopes (R, n, n) over the unknowns."""
+        names = (*self.state_names, *self.input_names)
+        unknown = [names.index(name) for name in self.start.solve_for]
+        zero = [self.state_names.index(name) for name in self.start.zero]
+        nx, eta = len(self.states), np.repeat(self.neutral[None], len(p), axis=0)
+        rates = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
+        A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)
+        return rates, np.concatenate([A, B], axis=2)[:, zero][:, :, unknown]
+
+    def _no_start(self, nearest: np.ndarray, away: float, moves: np.ndarray) -> InputError:
+        """Where the search for a start came nearest, or what keeps it from one answer; moves: which unknown acts on what."""
+        start = self.start
+        counted = f"{_several(start.solve_for, 'unknown')} from {_several(start.zero, 'rate')} that shall be 0"
+        idle = [name for j, name in enumerate(start.solve_for) if not moves[:, j].any()]
+        held = [name for i, name in enumerate(start.zero) if not moves[i].any()]
+        if idle or held:
+            fault = f"{', '.join(idle)} acts on none of these rates" if idle else f"none acts on the rate of {', '.join(held)}"
+            mend = f"fix {', '.join(idle) or 'other values'} and solve for what moves {', '.join(held or start.zero)}"
+            return InputError(f"no start: {counted}; {fault}", file=self.name, mend=mend)
+        came = ", ".join(f"{name} = {value:.4g}" for name, value in zip(start.solve_for, nearest, strict=True))
+        far = (
+            f"came no nearer than {came}, where a rate of {away:.3g} is left"
+            if np.isfinite(away)
+            else "found no place with finite rates"
+        )
+        return InputError(
+            f"no start found: {counted}; {1 + len(SIZES)} tries from the guess {far}",
+            file=self.name,
+            mend="are parameters and fixed values possible together? otherwise give Start(guess={...}) near where it stands",
+        )
+
+
+def _solved(J: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """J^-1 rates (R, n), NaN where J (R, n, n) is singular or not finite: an endless slope makes a step of 0 of any rate."""
+    rates = np.where(np.isfinite(J).all(axis=(1, 2), keepdims=True)[:, :, 0], rates, np.nan)
+    try:
+        return np.linalg.solve(J, rates[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        if len(J) == 1:
+            return np.full_like(rates, np.nan)
+        return np.concatenate([_solved(J[i : i + 1], rates[i : i + 1]) for i in range(len(J))])
+
+
+def _several(names: Sequence[str], noun: str) -> str:
+    return f"{len(names)} {noun}{'s' * (len(names) != 1)} ({', '.join(names)})"
 
 
 def _by_name(names, values) -> dict:
@@ -593,7 +691,7 @@ def _by_name(names, values) -> dict:
 
 def shares(values: Sequence, n: int) -> list[Sequence]:
     """A sequence in n equal shares."""
-    each = len(values) // n
+    each = len(values) // n if n else 0  # a plant that nothing commands has no shares
     return [values[i * each : (i + 1) * each] for i in range(n)]
 
 

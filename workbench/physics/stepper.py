@@ -376,12 +376,13 @@ def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, star
     fastest = np.zeros(len(start))
     for x, t in ((start, 0.0), (rest, 0.0), (rest, FOREVER)):  # what sets in later counts too
         A = plant.jacobians_of(x, hold, parameters, effects, t=t)[0]
-        fastest = np.maximum(fastest, np.abs(np.linalg.eigvals(A)).max(axis=-1))
-    needed = np.ceil(plant.dt * fastest).astype(int)
+        told = np.isfinite(A).all(axis=(1, 2))  # the slope of a root at 0 is none: it says nothing of a mode
+        fastest[told] = np.maximum(fastest[told], np.abs(np.linalg.eigvals(A[told])).max(axis=-1))
+    needed = np.ceil(plant.dt * fastest)
     if needed.max() > 2000:
         raise InputError(
-            f"a mode of {fastest.max():.3g} 1/s would need {needed.max()} integrator steps a sample",
+            f"a mode of {fastest.max():.3g} 1/s would need {needed.max():.4g} integrator steps a sample",
             file=plant.name,
             mend="widen the smoothing of the dry friction, or raise the inertia",
         )
-    return np.maximum(plant.substeps, needed)
+    return np.maximum(plant.substeps, needed.astype(int))

@@ -465,3 +465,12 @@ def test_bad_input_names_the_place():
         hull(some(0, n=4))
     with pytest.raises(InputError, match="nominal run overflows"):
         hull(some(0, N=4000, radius=1.5))
+
+
+def test_points_that_are_flat_to_their_rounding_have_a_hull():
+    """Qhull refuses them; the box around them holds them as well."""
+    random = np.random.default_rng(3)
+    flat = random.normal(size=(40, 2)) @ random.normal(size=(2, 3))
+    corners = propagation._extreme(flat - flat.mean(axis=0), 1e-9)
+    for direction in random.normal(size=(50, 3)):
+        assert (corners @ direction).max() >= ((flat - flat.mean(axis=0)) @ direction).max()

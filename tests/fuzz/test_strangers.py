@@ -1,0 +1,26 @@
+"""No command ends in anything but an answer or a refusal in words, whatever finite plants, records and options it is given.
+
+The quick sample draws what needs no compiler; the slow lane goes through all commands.
+"""
+
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.strangers import PLANTS, faults
+
+QUICK = ("identify", "compare", "effects")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_models_of_strange_records_are_answers_or_refusals(seed, tmp_path):
+    assert faults(seed, tmp_path, QUICK) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", PLANTS)
+def test_every_command_answers_or_refuses(kind):
+    for seed in range(8):
+        with tempfile.TemporaryDirectory() as folder:
+            assert faults(1000 + seed, Path(folder), kind=kind) == []
