@@ -12,6 +12,7 @@ from studies.arguments import Chosen, choose_plant, names, run_folder
 from studies.cli import DONE
 from studies.referee import handed_out
 from workbench.data import Dataset, check_held_out
+from workbench.decimation import thinned
 from workbench.diagnose.answer import Gain
 from workbench.diagnose.calibrate import Bounds, Calibration, Fitted, Trajectory, calibrate, gains, trajectories
 from workbench.diagnose.check import check
@@ -43,13 +44,16 @@ class Records:
 
 def read_records(options: Namespace, plant: Plant, say: Say) -> Records:
     """The records of a command and of --holdout, checked against the plant; what is odd about them is said."""
-    own = read_all(options.records)
+    own, said = thinned(read_all(options.records), options.dt, plant)
     held_out = read_all(options.holdout) if options.holdout else None
     if held_out:
+        held_out = thinned(held_out, own.dt if said else options.dt, plant)[0]
         check_held_out(own, held_out)
-    for note in check(plant, own):
+    if said:
+        say(f"note: {', '.join(own.names)}: {said}")
+    for note in check(plant, own, anyway=options.anyway):
         say(f"note: {note}")
-    for note in check(plant, held_out) if held_out else ():
+    for note in check(plant, held_out, anyway=options.anyway) if held_out else ():
         say(f"note: {note}")
     return Records(own, held_out, (*options.records, *options.holdout))
 
@@ -88,6 +92,8 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
         "parameters": options.parameters,
         "bounds": bounds,
         "records": list(records.own.names),
+        "anyway": options.anyway,
+        "dt": records.own.dt,
     }
     source = provenance(configuration, [*records.files, *chosen.files])
     folder = run_folder(options.out, "calibrate")

@@ -128,8 +128,10 @@ def parser() -> argparse.ArgumentParser:
         help="lti, ssm: let inputs act within their own sample, or not (default: where the records show it)",
     )
     sub.add_argument("--validate", nargs="+", action="extend", default=[], metavar="RECORD", help="held-out records")
+    _sample_time(sub, "their own, or one that suits the motion where they are sampled ten times too fast")
     sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
 
+    _accept(sub)
     _interval_options(sub)
 
     sub = command(
@@ -140,6 +142,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument("models", nargs="+", metavar="MODEL", help="model files written by identify")
     sub.add_argument("--records", nargs="+", action="extend", required=True, metavar="RECORD", help="held-out records")
     sub.add_argument("--horizon", type=_positive, default=25, help="steps of the k-step prediction that is scored (default 25)")
+    _accept(sub)
 
     sub = command(
         "calibrate",
@@ -302,6 +305,10 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _sample_time(sub: argparse.ArgumentParser, default: str) -> None:
+    sub.add_argument("--dt", type=_seconds, metavar="S", help=f"sample time to bring the records to (default: {default})")
+
+
 def _accept(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--accept", action="store_true", help="take an answer all the same that the referee does not hand out (exit code 3)"
@@ -312,6 +319,10 @@ def _plant_and_records(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("records", nargs="+", metavar="RECORD", help="measured records (CSV or MAT), channels named as in the plant")
     sub.add_argument("--plant", required=True, metavar="PLANT", help=PLANT_HELP)
     sub.add_argument("--holdout", nargs="+", action="extend", default=[], metavar="RECORD", help="records to measure the gain on")
+    sub.add_argument(
+        "--anyway", action="store_true", help="take records that do not look like this plant's; what is refused is noted then"
+    )
+    _sample_time(sub, "the plant's, where records are sampled five times faster and more")
     _accept(sub)
 
 

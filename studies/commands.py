@@ -283,6 +283,7 @@ def export(options: Namespace) -> int:
 def identify(options: Namespace) -> int:
     """Fit the models asked for, save them, score them on estimation and held-out records."""
     from studies.envelopes import check_interval_options, described_modes, fit_outputs, interval_configuration, interval_method
+    from workbench.decimation import thinned
     from workbench.identify import METHODS
     from workbench.intervals.coverage import cover
 
@@ -292,11 +293,14 @@ def identify(options: Namespace) -> int:
     interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
     wanted = tuple(method for method in wanted if method != INTERVAL)
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
-    dataset = _read(options.records, roles)
+    dataset, thinner = thinned(_read(options.records, roles), options.dt)
     held_out = _read(options.validate, roles) if options.validate else None
     _check_roles(dataset, wanted)
     if held_out:
+        held_out = thinned(held_out, dataset.dt)[0] if thinner else held_out
         check_held_out(dataset, held_out)
+    if thinner:
+        say(f"note: {', '.join(dataset.names)}: {thinner}")
     say(_described(dataset))
     _say_advice(dataset, options.order)
     if held_out:
@@ -312,29 +316,48 @@ def identify(options: Namespace) -> int:
     folder = run_folder(options.out, "identify")
     results: list[Result] = []
     for method, model in _fitted(options.model, methods, dataset) if wanted else ():
-        model.save(folder / f"{method}.json")
         if np.any(model.D):
             say(f"note: {method}: outputs see the inputs of their own sample, which held commands cannot do (--no-feedthrough)")
         for note in model.notes:
             say(f"note: {method}: {note}")
         results.append(Result(model, str(folder / f"{method}.json"), _scores(model, dataset, held_out, options.horizon)))
     for name, model in bounded.items():
-        model.save(folder / f"{name}.json")
         for line in described_modes(model):
             say(line)
         envelopes = cover(model, dataset, "estimation") + (cover(model, held_out, "held-out") if held_out else ())
         results.append(Result(model, str(folder / f"{name}.json"), tuple(c.nominal for c in envelopes), envelopes))
-    _say_scores(results)
-    _say_envelopes(results)
+    code = _refereed(options, results, dataset, held_out or dataset)
     if not options.validate:
         say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
     configuration = (
-        {"model": options.model, "order": options.order, "feedthrough": options.feedthrough}
+        {"model": options.model, "order": options.order, "feedthrough": options.feedthrough, "dt": dataset.dt}
         | roles
         | (interval_configuration(interval) if interval else {})
     )
     _write(options, folder, results, configuration, held_out or dataset, [*options.records, *options.validate])
-    return 0
+    return code
+
+
+def _refereed(options: Namespace, results: list[Result], estimation: Dataset | None, judged: Dataset) -> int:
+    """Say what speaks against each model, then the scores of the others, and save these; 3 where none is left.
+
+    The results of models that are not handed out keep their scores for the file, and have no file of their own.
+    """
+    from studies.objections import objections
+    from studies.referee import handed_out
+
+    found = objections(results, estimation, judged)
+    against = list(dict.fromkeys(sentence for own in found for sentence in own))
+    kept = [result for result, own in zip(results, found, strict=True) if options.accept or not own]
+    code = handed_out(against, options.accept, say)
+    for i, result in enumerate(results):
+        results[i] = replace(result, against=found[i], file=result.file if result in kept else "")
+        if options.command == "identify" and result in kept:
+            result.model.save(result.file)
+    if kept:
+        _say_scores(kept)
+        _say_envelopes(kept)
+    return 0 if kept else code
 
 
 def _method_options(options: Namespace, method: str) -> dict[str, Any]:
@@ -410,11 +433,10 @@ def compare(options: Namespace) -> int:
                 say(str(residual_test(model, experiment)))
             except InputError as reason:  # too short a record, or an unstable model: its scores say more
                 say(f"note: no residual test: {reason}")
-    _say_scores(results)
-    _say_envelopes(results)
+    code = _refereed(options, results, None, shown)
     folder = run_folder(options.out, "compare")
     _write(options, folder, results, {"models": options.models}, shown, options.records)
-    return 0
+    return code
 
 
 def _load_models(paths: list[str]) -> list:

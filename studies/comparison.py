@@ -79,7 +79,10 @@ def comparison(title: str, results: Sequence[Result], records: Sequence[Experime
     if notes:
         sections.append(Section("Notes", (Text("\n\n".join(notes)),)))
     sections.append(Section("Numbers", (score_table(scores),)))
-    said = " ".join([verdict(scores), *(covered_verdict(result.envelopes) for result in results if result.envelopes)])
+    against = list(dict.fromkeys(sentence for result in results for sentence in result.against))
+    kept = [s for result in results if not result.against for s in result.scores]
+    headline = [*(f"NOT HANDED OUT: {sentence}." for sentence in against), *([verdict(kept)] if kept else [])]
+    said = " ".join([*headline, *(covered_verdict(result.envelopes) for result in results if result.envelopes)])
     return Report(title, said, (*sections, Section("Provenance", (Provenance(source),))))
 
 

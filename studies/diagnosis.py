@@ -43,7 +43,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
     heard: list[str] = []
     records = read_records(options, chosen.plant, heard.append)
     templates = templates_of(chosen.machine, chosen.plant, records.own)
-    found = diagnose(chosen.plant, records.own, records.held_out, templates=templates, progress=progress)
+    found = diagnose(chosen.plant, records.own, records.held_out, templates=templates, progress=progress, anyway=options.anyway)
     progress("simulating data sheet, recalibrated and extended plant")
     shown_at = stages(chosen.plant, found, records.own, records.held_out or records.own)
     code = handed_out(found.objections, options.accept, say)
@@ -51,7 +51,7 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
         say(sentence)
     for sentence in dict.fromkeys([*heard, *(f"note: {note}" for note in found.notes)]):
         say(sentence)
-    source = provenance({"plant": options.plant, "holdout": options.holdout}, [*records.files, *chosen.files])
+    source = provenance(_configuration(options, records), [*records.files, *chosen.files])
     folder = run_folder(options.out, "diagnose")
     extended = write_extension(folder, chosen, found.parameters, found.effects, source) if code == DONE else None
     if not extended:
@@ -72,6 +72,10 @@ def run(options: Namespace, say: Say, progress: Say) -> int:
         say(f"extended plant, for --plant and simulate: {again(chosen, extended)}")
     say(f"report: {write_report(report, folder)}")
     return code
+
+
+def _configuration(options: Namespace, records: Records) -> dict[str, Any]:
+    return {"plant": options.plant, "holdout": options.holdout, "anyway": options.anyway, "dt": records.own.dt}
 
 
 def templates_of(name: str, plant: Plant, records: Dataset) -> tuple[Template, ...]:

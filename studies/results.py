@@ -12,18 +12,21 @@ from workbench.records import record
 
 @record
 class Result:
-    """A model, its file, its scores, and for an interval model its envelopes."""
+    """A model, its file, its scores, and for an interval model its envelopes; against: why it is not handed out, if it is not."""
 
     model: LPVModel | IntervalModel
     file: str
     scores: tuple[Score, ...]
     envelopes: tuple[Coverage, ...] = ()
+    against: tuple[str, ...] = ()
 
 
 def scores_file(results: Sequence[Result], source: dict[str, Any]) -> dict[str, Any]:
-    """The scores file; an interval model's entry holds its "envelopes" besides."""
+    """The scores file; an interval model's entry holds its "envelopes" besides, and one that was objected to the "against"."""
     content = to_json([(result.model, result.file, result.scores) for result in results], source)
     for entry, result in zip(content["models"], results, strict=True):
         if result.envelopes:
             entry["envelopes"] = [c.to_dict() for c in result.envelopes]
+        if result.against:
+            entry["against"] = list(result.against)
     return content

@@ -30,6 +30,16 @@ Severity = Literal["note", "warning"]
 
 #: Chance at which an open-loop record is taken for a closed-loop one.
 LEVEL = 0.005
+#: Moves of an input, far before a sample or after it, that tell how much a linear model misses; samples that far after is.
+BEFORE, FAR = 40, 40
+#: Correlation that biases no model by as much as its noise does, and that any large record's misfit may show.
+SLIGHT = 0.025
+#: Parts of a record of which any may be left out: a law answers in all of them, a sweep passes a resonance once.
+PARTS = 4
+#: Regressions of an input are up to so many times as long; white is what has autocorrelations below so many standard errors.
+DEEPEST, COLOUR = 10, 1.6
+#: Share of its variance by which an input that repeats may differ from one period to the next.
+REPEATS = 1e-5
 #: Largest magnitude that is still plausible in a unit; above it, the unit is probably another one.
 PLAUSIBLE = {"m": (20.0, "mm"), "rad": (300.0, "deg"), "rad/s": (1000.0, "rpm"), "deg": (36000.0, "counts")}
 
@@ -91,10 +101,13 @@ def advice(dataset: Dataset, *, order: int | None = None) -> tuple[Advice, ...]:
 def feedback(experiment: Experiment, *, order: int = 10, lags: int = 10) -> Feedback:
     """z = sum_t e(t) w(t+k) / sqrt(c sum_t e(t)^2 w(t+k)^2), k = 1 .. lags: zero mean unless the loop is closed.
 
-    e: residuals of a VARX of `order` of outputs on inputs; w: residuals of an autoregression of each input on all inputs
-    and references. Both are least squares by QR with constant and trend. c >= 1 corrects for what colour is left in e
-    and w (Bartlett). An input that is held for several samples is judged at the instants it can move. At most the first
-    50 000 samples are used. An input that its own past predicts (a ramp, a few sines) cannot be judged and is left out.
+    e: residuals of a VARX of `order`, in long records of four times as much, of outputs on inputs; w: residuals of an
+    autoregression of each input on all inputs and references, as long as makes w white. Both are least squares by QR with
+    constant and trend. c >= 1 corrects for what colour is left in e and w (Bartlett). The smallest z counts that is left without
+    any quarter of the record, divided by what e and w have in common far from these lags where w is not white: no loop explains
+    that. A z of less than SLIGHT of a correlation counts as none. An input that is held for several samples is judged at the
+    instants it can move. At most the first 50 000 samples are used. An input that repeats itself is no answer to noise; one that
+    its own past predicts (a ramp, a few sines) cannot be judged: both are left out.
     Raises InputError without inputs or outputs, or with fewer samples than twice the regressors.
     """
     inputs = [n for n in experiment.names_of("input") if np.ptp(experiment[n]) > 0]
@@ -106,27 +119,27 @@ def feedback(experiment: Experiment, *, order: int = 10, lags: int = 10) -> Feed
     order = min(order, len(u) // (4 * (u.shape[1] + y.shape[1] + r.shape[1])))
     if order < 1 or len(u) < 10 * lags:
         raise InputError(f"{len(u)} samples are too few", file=experiment.name, mend="use a longer record")
-    e = _residual(y, np.hstack([y, u]), order)
+    deep = max(order, min(4 * order, len(u) // (20 * (u.shape[1] + y.shape[1]))))
+    e = _residual(y, np.hstack([y, u]), deep)
     worst = (0.0, inputs[0], outputs[0], 1)
     tests = 0
     for i, name in enumerate(inputs):
+        if _repeats(u[:, i]):
+            continue
         hold, phase = _clock(u[:, i])
         moved = slice(phase, None, hold)
         w = np.full(len(u), np.nan)
-        own = np.hstack([u[moved], r[moved]])
-        depth = min(order, len(own) // (4 * own.shape[1]))
-        if depth < 1:
-            continue
-        news = _residual(u[moved, i : i + 1], own, depth, now=r[moved])[:, 0]
-        if np.nanvar(news) < 1e-6:
+        news, white = _news(u[moved], r[moved], i, order)
+        if not np.nanvar(news) > 1e-6:
             continue
         w[moved] = news
         for j, output in enumerate(outputs):
             if np.nanvar(e[:, j]) < 1e-20:
                 continue
             tests += lags
+            usual = 1.0 if white else _misfit(e[:, j], w, deep, hold)
             for k in range(1, lags + 1):
-                z = _z(e[: len(e) - k, j], w[k:])
+                z = _z(e[: len(e) - k, j], w[k:]) / usual
                 worst = max(worst, (z, name, output, k))
     p = min(1.0, tests * math.erfc(worst[0] / math.sqrt(2)))
     return Feedback(
@@ -164,8 +177,58 @@ def _z(e: np.ndarray, w: np.ndarray) -> float:
     kept = np.isfinite(e) & np.isfinite(w)
     e, w = e[kept], w[kept]
     colour = 1.0 + 2.0 * sum(_correlation(e, j) * _correlation(w, j) for j in range(1, min(20, len(e) // 4)))
-    scale = math.sqrt(max(colour, 1.0) * float(np.sum(e**2 * w**2)))
-    return abs(float(np.sum(e * w))) / scale if scale > 0 else 0.0
+    if not len(e):
+        return 0.0
+    product, edges = e * w, np.linspace(0, len(e), PARTS + 1).astype(int)[:-1]
+    total, spread = np.add.reduceat(product, edges), max(colour, 1.0) * np.add.reduceat(product**2, edges)
+    left = np.append(total.sum() - total, total.sum())  # without each part, and with all of them
+    scale = np.sqrt(np.append(spread.sum() - spread, spread.sum()))
+    z = float(np.min(np.abs(left) / np.where(scale > 0.0, scale, np.inf)))
+    return z if z > SLIGHT * math.sqrt(len(e)) else 0.0
+
+
+def _news(u: np.ndarray, r: np.ndarray, i: int, order: int) -> tuple[np.ndarray, bool]:
+    """What input i (N,) brings that the past of inputs u and set-points r does not hold, and whether that is white.
+
+    By a regression of this order, or one as long as it takes: what is left of a slow, band-limited or swept input after a short
+    one is told by older inputs still, and goes with whatever a model of the machine misses of them.
+    """
+    own, news, white = np.hstack([u, r]), np.full(len(u), np.nan), False
+    for depth in (order, 3 * order, DEEPEST * order):
+        if not 1 <= depth <= len(own) // (4 * own.shape[1]):
+            break
+        news = _residual(u[:, i : i + 1], own, depth, now=r)[:, 0]
+        x = news[np.isfinite(news)]
+        seen = [_correlation(x, lag) for lag in range(1, min(30, len(x) // 4))]
+        white = bool(np.mean(np.square(seen)) * len(x) < COLOUR**2) if np.any(x) and seen else False
+        if white:
+            break
+    return news, white
+
+
+def _misfit(e: np.ndarray, w: np.ndarray, order: int, hold: int) -> float:
+    """Root mean square of z between e(t) and w far before it, beyond the regressors, or far after it; 1 at least.
+
+    What a linear model of this order misses of a nonlinear or slow machine is a function of older inputs, and where an input can
+    be told from its past in any way (a sweep, a sum of sines) it is one of later inputs as well: such e and w go together without
+    any feedback, long before and long after as much as at the lags at which a loop answers.
+    """
+    lags = [k for k in range(order + 1, order + 1 + BEFORE * hold, hold) if k < len(e) // 4]
+    before = [_z(e[k:], w[: len(w) - k]) for k in lags]
+    after = [_z(e[: len(e) - k - FAR], w[k + FAR :]) for k in lags if k + FAR < len(e) // 2]
+    return max([1.0, *(float(np.sqrt(np.mean(np.square(side)))) for side in (before, after) if side)])
+
+
+def _repeats(u: np.ndarray) -> bool:
+    """Whether an input (N,) is one and the same course again and again: noise does not repeat, and no feedback of it does."""
+    moves = u - u.mean()
+    power = np.abs(np.fft.rfft(moves, 2 * len(u))) ** 2
+    own = np.fft.irfft(power)[: len(u) // 2 + 1] / (len(u) - np.arange(len(u) // 2 + 1))
+    apart = np.flatnonzero(own < 0.5 * own[0])
+    if not len(apart):
+        return False
+    period = int(apart[0] + np.argmax(own[apart[0] :]))
+    return float(np.var(u[period:] - u[:-period])) < REPEATS * float(np.var(u))
 
 
 def _correlation(x: np.ndarray, lag: int) -> float:

@@ -83,7 +83,7 @@ def simulate(
     else:
         held = lanes.hold[0, [plant.input_names.index(name) for name in controller.actuated]]
         run, memories = stepper.run_stepwise(plant, controller, lanes, used, controller.init(held if bumpless else None))
-    k = int(_first_outside(plant, run.states)[0])
+    k = int(outside(plant, run.states)[0])
     if not cut or k < 2:
         _check_range(plant, scenario, run.states[0], run.commands[0], k)
     t = plant.dt * np.arange(k)
@@ -138,7 +138,7 @@ def simulate_batch(
         run = _each_alone(plant, controller, lanes, threads)
     else:
         run = stepper.run(plant, controller, lanes, _substeps(plant, lanes, substeps), threads)
-    for i, k in enumerate(_first_outside(plant, run.states)):
+    for i, k in enumerate(outside(plant, run.states)):
         for values in (run.states, run.measured, run.commands):
             values[i, k:] = np.nan
     return run
@@ -268,7 +268,7 @@ def lost_command(commands: np.ndarray, k: int) -> int | None:
     return int(lost.argmax()) if lost.any() else None
 
 
-def _first_outside(plant: Plant, states: np.ndarray) -> np.ndarray:
+def outside(plant: Plant, states: np.ndarray) -> np.ndarray:
     """First sample at which each run (R, N, nx) has left the plant's limits or the finite range; N where none has."""
     low, high = np.array([plant.limits.get(name, (-np.inf, np.inf)) for name in plant.state_names]).T
     bad = ~(np.isfinite(states) & (states >= low) & (states <= high)).all(axis=2)

@@ -230,7 +230,7 @@ def test_a_schedule_beyond_the_models_range_is_said(capsys, records, tmp_path):
     lines = (records / "prbs1.csv").read_text().splitlines(keepends=True)
     short.write_text("".join(lines[:1200]))
     fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "ssm", "--order", "2", "--out", str(tmp_path))
-    assert main(["identify", str(short), *fit, "--validate", str(records / "rgs.csv")]) == 0
+    assert main(["identify", str(short), *fit, "--validate", str(records / "rgs.csv"), "--accept"]) == 0
     assert "r2 leaves the range the model knows" in capsys.readouterr().out
 
 

@@ -96,7 +96,7 @@ def diagnosed(monkeypatch):
     asked = {}
 
     def use(given):
-        def diagnose(plant, dataset, held_out=None, *, templates, progress):
+        def diagnose(plant, dataset, held_out=None, *, templates, progress, anyway):
             progress("looking")
             asked.update(
                 plant=plant, names=dataset.names, held_out=held_out and held_out.names, templates=[t.name for t in templates]

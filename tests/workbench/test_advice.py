@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import chirp, lfilter
 
 from workbench.advice import advice, feedback, quantum
 from workbench.data import Channel, Dataset, Experiment
@@ -75,6 +76,83 @@ def test_feedback_needs_an_input_an_output_and_samples():
 @pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="measured data not here: expected ../shared/data/emps")
 def test_the_measured_axis_is_known_to_run_in_closed_loop():
     assert feedback(read(DATA / "emps" / "DATA_EMPS.mat")).detected
+
+
+def course(kind: str, count: int, g: np.random.Generator) -> np.ndarray:
+    """An input of a laboratory (count)."""
+    k, step = np.arange(count), int(g.integers(20, 200))
+    match kind:
+        case "coloured":
+            return lfilter([1], [1, -0.95], g.standard_normal(count))
+        case "multisine":  # all frequencies up to the highest, three periods
+            phase = g.uniform(0, 2 * np.pi, 249)
+            return np.cos(2 * np.pi * np.outer(k, np.arange(1, 250)) / 500 + phase).sum(axis=1)
+        case "steps":
+            return np.repeat(g.uniform(-1, 1, count // step + 1), step)[:count]
+        case "smoothed steps":
+            return lfilter([0.2], [1, -0.8], np.repeat(g.uniform(-1, 1, count // step + 1), step)[:count])
+        case "chirp":
+            return chirp(k, 0.001, count, g.uniform(0.1, 0.3))
+        case _:
+            return np.interp(k, np.arange(0, count + step, step), g.uniform(-1, 1, len(np.arange(0, count + step, step))))
+
+
+def answer(kind: str, u: np.ndarray) -> np.ndarray:
+    """What a machine makes of it (N,)."""
+    match kind:
+        case "lightly damped":
+            return lfilter([0, 0.05], [1, -1.9, 0.96], u)
+        case "integrating":
+            return 0.01 * np.cumsum(u)
+        case "square":
+            return lfilter([0, 0.1], [1, -0.9], (u / np.std(u)) ** 2)
+        case _:
+            x, state = np.zeros(len(u)), 0.0
+            for k in range(len(u) - 1):
+                state += 0.1 * (u[k] / np.std(u) - state - 2.0 * abs(state) * state)
+                x[k + 1] = state
+            return x
+
+
+@pytest.mark.parametrize("machine", ["lightly damped", "integrating", "square", "nonlinear"])
+@pytest.mark.parametrize("kind", ["coloured", "multisine", "steps", "smoothed steps", "chirp", "ramps"])
+def test_open_loop_is_not_called_feedback_whatever_the_input_and_the_machine(kind, machine):
+    """A linear model misses something of them, and what it misses goes with an input that can be told from its past."""
+    alarms = 0
+    for seed in range(4):
+        g = np.random.default_rng(seed)
+        u = course(kind, 1500, g)
+        x = answer(machine, u)
+        drift = np.cumsum(g.standard_normal(1500))
+        for noise in (0.0 * u, 0.05 * np.std(x) * g.standard_normal(1500), 0.2 * np.std(x) * drift / np.std(drift)):
+            alarms += feedback(Experiment.from_arrays("open", 0.1, inputs={"u": u}, outputs={"y": x + noise})).detected
+    assert alarms <= 1
+
+
+@pytest.mark.parametrize("kind", ["coloured", "steps", "chirp"])
+def test_a_loop_is_found_under_every_set_point(kind):
+    found = 0
+    for seed in range(8):
+        g = np.random.default_rng(seed)
+        r, colour = 0.3 * course(kind, 1500, g), lfilter([0.3], [1, -0.8], g.standard_normal(1500))
+        u, y = np.zeros(1500), np.zeros(1500)
+        x = before = 0.0
+        for k in range(1500):
+            y[k] = x + colour[k]
+            u[k] = r[k] - y[k - 1]  # computed within a sample; y[-1] is 0 still
+            x, before = 1.5 * x - 0.56 * before + 0.06 * u[k], x
+        found += feedback(Experiment.from_arrays("closed", 0.1, inputs={"u": u}, outputs={"y": y})).detected
+    assert found >= 7
+
+
+@pytest.mark.skipif(not (DATA / "real").is_dir(), reason="measured data not here: expected ../shared/data/real")
+@pytest.mark.parametrize(
+    ("file", "u", "y"),
+    [("silverbox/multisine_train", "V1", "V2"), ("silverbox/arrow", "V1", "V2"), ("quarter_drone/multisine", "u", "angle"),
+     ("cascaded_tanks/est", "u", "y"), ("coupled_drives/run1", "u", "y"), ("ball_and_hoop/random_a", "u", "w")],
+)  # fmt: skip
+def test_benchmarks_that_were_run_open_are_not_called_closed(file, u, y):
+    assert not feedback(read(DATA / "real" / f"{file}.csv").with_roles([u], [y])).detected
 
 
 # ---- the other kinds -------------------------------------------------------------------------------------------------

@@ -12,6 +12,14 @@ reading in another unit brings its noise along.
 
 A reversed sign and a known unit are refused. A factor of no known unit is a note: an amplifier that saturates, a dead zone or
 much friction make an input look too large. So is an input without which the plant follows a record as well as with any mend.
+
+A free run begins where the record begins: states are fitted to its first samples. And nothing is refused by a free run of the
+whole record alone: what a start, a parameter or a disturbance takes away adds up over it. The record is cut into windows, short
+ones where the plant is unstable, each with a start of its own, and what the inputs do within a window is compared,
+
+    D = y - z0,   F = z - z0,   z0: a run from the same start under the window's mean inputs.
+
+What is refused is wrong there too; else it is a note.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,12 +29,11 @@ from itertools import combinations
 import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment
+from workbench.diagnose.runs import Runner, first_outside
 from workbench.errors import InputError
-from workbench.physics.controller import Playback
 from workbench.physics.plant import Plant
 from workbench.readers import UNITS, check_units
 from workbench.records import field, record
-from workbench.simulate import Scenario, simulate_batch
 
 PER_UNKNOWN = 10  # samples for each state and each parameter that is open
 MOVES = 2.0  # a channel whose spread around a line is less than so many standard deviations of its noise stands still
@@ -57,24 +64,31 @@ class Note:
         return f"{self.record}, {self.channel}: {self.sentence}" if self.channel else f"{self.record}: {self.sentence}"
 
 
-def check(plant: Plant, dataset: Dataset) -> tuple[Note, ...]:
+def check(plant: Plant, dataset: Dataset, *, anyway: bool = False) -> tuple[Note, ...]:
     """Refuse records that cannot be of `plant`, or from which nothing can be learned; what is merely odd is returned.
 
     Raises InputError for missing channels, units that are not the plant's (declared, or told by the size of a channel), records
     that are too short, outputs that stand still or at their stops, inputs that do not move, channels that have changed places,
-    and records that the plant explains in no channel.
+    and records that the plant explains in no channel. anyway: the user takes the records all the same; then all but missing
+    channels, declared units and the sample time are notes.
     """
     units = {c.name: c.unit for c in (*plant.inputs, *plant.outputs)}
-    notes: list[Note] = []
     for e in dataset:
         _check_channels(plant, e)
         check_units(e, units)
-    _check_length(plant, dataset)
+        plant.sampled(e.dt, file=e.name)
+    checks = [lambda: _check_length(plant, dataset)]
     for e in dataset:
-        notes += _unlogged(plant, e)
-        notes += _still(plant, e)
-        _check_excitation(plant, e)
-        notes += _compared(plant, e)
+        checks += [lambda e=e, one=one: one(plant, e) for one in (_unlogged, _still, _check_excitation, _compared)]
+    notes: list[Note] = []
+    for one in checks:
+        try:
+            notes += one()
+        except InputError as reason:
+            if not anyway:
+                raise
+            refused = reason.problem + (f" ({reason.mend})" if reason.mend else "")
+            notes.append(Note(str(reason.file or plant.name), reason.channel or "", f"taken all the same: {refused}"))
     return tuple(notes)
 
 
@@ -108,7 +122,7 @@ def _unlogged(plant: Plant, e: Experiment) -> Iterator[Note]:
         yield Note(e.name, channel.name, f"is not in the record and taken as 0: no effect that goes with it can be found{mend}")
 
 
-def _check_length(plant: Plant, dataset: Dataset) -> None:
+def _check_length(plant: Plant, dataset: Dataset) -> tuple[Note, ...]:
     states, open_parameters = len(plant.states), sum(q.tolerance > 0.0 for q in plant.parameters)
     samples, needed = sum(len(e) for e in dataset), PER_UNKNOWN * (states * len(dataset) + open_parameters)
     if samples < needed:
@@ -117,6 +131,7 @@ def _check_length(plant: Plant, dataset: Dataset) -> None:
             file=", ".join(dataset.names),
             mend=f"give at least {needed} samples ({needed * dataset.dt:g} s)",
         )
+    return ()
 
 
 def _still(plant: Plant, e: Experiment) -> Iterator[Note]:
@@ -141,17 +156,23 @@ def _still(plant: Plant, e: Experiment) -> Iterator[Note]:
         yield Note(e.name, name, f"{fault}: nothing can be learned from it")
 
 
-def _check_excitation(plant: Plant, e: Experiment) -> None:
+def _driving(plant: Plant, e: Experiment) -> tuple[str, ...]:
+    """Inputs that drive a plant in a record: the commanded ones; of a plant that nothing commands, those that are logged."""
+    return plant.commanded or tuple(name for name in plant.input_names if name in e.names)
+
+
+def _check_excitation(plant: Plant, e: Experiment) -> tuple[Note, ...]:
     """Something must move beyond noise: an input, and not only along a line."""
-    moving = [name for name in plant.commanded if np.ptp(e[name]) > 0.0]
+    driving = _driving(plant, e)
+    moving = [name for name in driving if np.ptp(e[name]) > 0.0]
     still = not any(_moves(e[name]) for name in (*moving, *(n for n in plant.output_names if n in e.names)))
     if moving and not still:
-        return
+        return ()
     fault = "no input moves" if not moving else "inputs and outputs move no more than their noise"
     raise InputError(
-        f"{fault} ({', '.join(plant.commanded)})",
+        f"{fault} ({', '.join(driving or plant.input_names)})",
         file=e.name,
-        channel=plant.commanded[0],
+        channel=(driving or plant.input_names)[0],
         mend="nothing can be diagnosed at rest: excite the machine, with steps of the set-points or a binary sequence",
     )
 
@@ -179,6 +200,7 @@ class Slip:
     looks: str
     mend: str
     factor: float = field("", default=1.0)  # what mends them is multiplied by
+    exchanged: bool = False  # or what mends them is to swap the two
     sure: bool = True  # no missing physics looks like it
 
     def __str__(self) -> str:
@@ -271,23 +293,67 @@ def _fast(y: np.ndarray) -> np.ndarray:
 
 def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     _check_turns(plant, e)
+    runner = Runner.of(plant, e)
     trials = list(_trials(plant, e))
-    own, *others = (_until_it_leaves(plant, e, run) for run in _free_runs(plant, e, trials))
-    lasts = len(own.y) * e.dt
+    own, *others = _whole(plant, e, runner, [t.u for t in trials])
+    if not len(own.y):  # unstable: within windows only is there something to compare
+        own, *others = (_forced(plant, e, runner, t.u) for t in trials)
+    elif len(own.y) < len(e):
+        yield Note(e.name, "", f"a free run of {plant.name} leaves its range after {len(own.y) * e.dt:g} s")
     guesses = _guesses(plant, own, [Guess((t.slip,), run.away) for t, run in zip(trials[1:], others, strict=True) if t.slip])
     if any(slip.sure for guess in guesses for slip in guess.slips):
-        raise _slipped(e.name, guesses)
-    if guesses:
+        sure = [guess for guess in guesses if _holds_in_windows(plant, e, guess)]
+        if sure:
+            raise _slipped(e.name, guesses if len(sure) == len(guesses) else sure)
+        yield _unsure(e.name, guesses)
+    elif guesses:
         yield _odd(e.name, guesses)
     _check_limits(plant, e, own.channels)
     if not len(own.y):
         if not guesses:
-            yield _lost(plant, e)
+            yield _lost(plant, e, runner)
         return
-    if lasts < e.dt * len(e):
-        yield Note(e.name, "", f"a free run of {plant.name} leaves its range after {lasts:g} s")
-    _check_places(own)
-    yield from _unexplained(plant, e, own)
+    _check_places(plant, e, own)
+    yield from _unexplained(plant, e, own, runner)
+
+
+def _whole(plant: Plant, e: Experiment, runner: Runner, inputs: Sequence[np.ndarray]) -> list[Compared]:
+    """A free run over the whole record under each inputs (N, nu), from the plant's own start or from a fitted one.
+
+    The first inputs tell which of the two: fitted, where they follow the record better so.
+    """
+    usual, fitted = ([_until_it_leaves(plant, e, run) for run in runner.whole(inputs, fitted=fitted)] for fitted in (False, True))
+    return fitted if fitted[0].away + TOLD < usual[0].away else usual
+
+
+def _forced(plant: Plant, e: Experiment, runner: Runner, u: np.ndarray) -> Compared:
+    """What the inputs u (N, nu) do within windows: D of the module beside F, over no samples where no window lasts."""
+    seen = [i for i, name in enumerate(plant.output_names) if name in e.names and np.ptp(e[name]) > 0.0]
+    D, F = runner.forced(u)
+    return Compared(e.name, tuple(plant.outputs[i] for i in seen), D[:, seen], F[:, seen])
+
+
+def _holds_in_windows(plant: Plant, e: Experiment, guess: Guess) -> bool:
+    """Whether the plant follows the record better within windows, too, where these slips are mended."""
+    mended = _mended(e, guess.slips)
+    as_is, better = (_forced(plant, one, runner, runner.u) for one in (e, mended) for runner in [Runner.of(plant, one)])
+    return better.away + TOLD < as_is.away
+
+
+def _mended(e: Experiment, slips: Sequence[Slip]) -> Experiment:
+    """The record as it would be without these slips."""
+    values = e.values.copy()
+    for slip in slips:
+        at = [e.names.index(name) for name in slip.channels]
+        values[:, at] = values[:, at[::-1]] if slip.exchanged else values[:, at] * slip.factor
+    return replace(e, values=values)
+
+
+def _unsure(file: str, guesses: Sequence[Guess]) -> Note:
+    """What a free run of the whole record says and runs of its windows do not."""
+    said = _slipped(file, guesses)
+    doubt = "but only over the whole record: within short windows it does not; a start or a parameter may do this, too"
+    return Note(file, said.channel or "", f"{said.problem}, {doubt}; or else {said.mend}")
 
 
 def _guesses(plant: Plant, own: Compared, tried: Sequence[Guess]) -> tuple[Guess, ...]:
@@ -351,13 +417,14 @@ def _noise_is_scaled(plant: Plant, own: Compared, slip: Slip) -> bool | None:
     return at > 0.5 if min(abs(at), abs(at - 1.0)) < NEAR else None
 
 
-def _lost(plant: Plant, e: Experiment) -> Note:
-    """A plant that its own limits stop at once is not driven like this; one without limits may be unstable."""
+def _lost(plant: Plant, e: Experiment, runner: Runner) -> Note:
+    """A plant that its own limits stop at once, from every start, is not driven like this; one without limits may be unstable."""
     if plant.limits:
         raise InputError(
-            f"driven by the logged inputs, {plant.name} leaves its range at once",
+            f"driven by the logged inputs, {plant.name} leaves its range at once, wherever in the record it starts;"
+            f" {runner.told_until(e.t)}",
             file=e.name,
-            mend=f"is it a record of this machine, and are {' and '.join(plant.commanded)} in their places and units?",
+            mend=f"is it a record of this machine, and are {' and '.join(_driving(plant, e))} in their places and units?",
         )
     return Note(e.name, "", f"a free run of {plant.name} does not last: units and places of channels were not checked by it")
 
@@ -382,7 +449,7 @@ def _trials(plant: Plant, e: Experiment) -> Iterator[Trial]:
         swapped[:, [a, b]] = u[:, [b, a]]
         names = plant.input_names[a], plant.input_names[b]
         looks = "exchanged: the other way round the plant follows the record"
-        yield Trial(Slip(names, looks, f"swap {' and '.join(names)}"), swapped)
+        yield Trial(Slip(names, looks, f"swap {' and '.join(names)}", exchanged=True), swapped)
     for slip in _input_slips(plant):
         scaled = u.copy()
         scaled[:, [plant.input_names.index(name) for name in slip.channels]] *= slip.factor
@@ -457,24 +524,10 @@ def _other_units(unit: str) -> Iterator[tuple[str, float]]:
             yield name, other.factor / own.factor
 
 
-def _free_runs(plant: Plant, e: Experiment, trials: list[Trial]) -> np.ndarray:
-    """Outputs (R, N, ny) of the plant under each trial's inputs, from its own start; NaN once it has left its range."""
-    plant = plant.sampled(e.dt, file=e.name)
-    start = {}
-    for name in plant.output_names:
-        low, high = plant.limits.get(name, (np.inf, -np.inf))
-        if name in e.names and low < e[name][0] < high:
-            start[name] = float(e[name][0])
-    scenarios = [Scenario(e.name, dict(zip(plant.input_names, t.u.T, strict=True)), start=start) for t in trials]
-    with np.errstate(over="ignore", invalid="ignore"):  # a volt taken for a millivolt runs away
-        return simulate_batch(plant, Playback(plant.input_names, plant.dt), scenarios, threads=1).measured
-
-
 def _until_it_leaves(plant: Plant, e: Experiment, run: np.ndarray) -> Compared:
     """The run (N, ny) beside the record, over no samples where it leaves the plant's range too soon to be compared with."""
     seen = [i for i, name in enumerate(plant.output_names) if name in e.names and np.ptp(e[name]) > 0.0]
-    out = ~np.isfinite(run).all(axis=1)
-    lasts = int(np.argmax(out)) if out.any() else len(e)
+    lasts = first_outside(run)
     n = lasts if lasts > max(LEAVES * len(e), 20) else 0
     channels = tuple(plant.outputs[i] for i in seen)
     return Compared(e.name, channels, e[[c.name for c in channels]][:n], run[:n][:, seen])
@@ -512,13 +565,18 @@ def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) ->
         )
 
 
-def _check_places(own: Compared) -> None:
+def _check_places(plant: Plant, e: Experiment, own: Compared) -> None:
     d = np.array([[likeness(y, z).distance + _level(y, z) for z in own.z.T] for y in own.y.T])
     for i, j in combinations(range(len(d)), 2):
         as_is, exchanged = d[i, i] + d[j, j], d[i, j] + d[j, i]
         if max(d[i, j], d[j, i]) < 0.5 and exchanged < 0.3 * as_is and as_is > 1.0:
-            names = f"{own.channels[i].name} and {own.channels[j].name}"
-            raise InputError(f"{names} look exchanged: each follows the other's simulation", file=own.file, mend=f"swap {names}")
+            names = own.channels[i].name, own.channels[j].name
+            said, mend = (
+                f"{' and '.join(names)} look exchanged: each follows the other's simulation",
+                f"swap {' and '.join(names)}",
+            )
+            if _holds_in_windows(plant, e, Guess((Slip(names, said, mend, exchanged=True),), 0.0)):
+                raise InputError(said, file=own.file, mend=mend)
 
 
 def _level(y: np.ndarray, z: np.ndarray) -> float:
@@ -526,28 +584,34 @@ def _level(y: np.ndarray, z: np.ndarray) -> float:
     return min(abs(float(np.mean(y) - np.mean(z))) / float(np.std(y) + np.std(z)), 1.0)
 
 
-def _unexplained(plant: Plant, e: Experiment, own: Compared) -> Iterator[Note]:
+def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner) -> Iterator[Note]:
     """Refuse what the plant explains in no channel, unless nothing gets through to the outputs, or only peaks of inputs do."""
     if own.follows >= UNLIKE or not own.counted:
         return
-    names, inputs = ", ".join(own.channels[i].name for i in own.counted), " and ".join(plant.commanded)
+    names, inputs = ", ".join(own.channels[i].name for i in own.counted), " and ".join(_driving(plant, e))
     if not any(_moves(own.y[:, i]) for i in own.counted):
         yield Note(own.file, names, f"moves no more than its noise: a dead zone or dry friction may take all of {inputs}")
         return
-    runs = _free_runs(plant, e, list(_peaks(plant, e)))
-    if max(_until_it_leaves(plant, e, run).follows for run in runs) < ALIKE:
-        raise InputError(
-            f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {own.follows:.2f})",
-            file=own.file,
-            mend="is it a record of this machine, and are the channels in their places?",
-        )
-    yield Note(own.file, names, f"follows the peaks of {inputs} only: a dead zone or dry friction may take the rest")
+    if max(run.follows for run in _whole(plant, e, runner, [trial.u for trial in _peaks(plant, e)])) >= ALIKE:
+        yield Note(own.file, names, f"follows the peaks of {inputs} only: a dead zone or dry friction may take the rest")
+        return
+    within = _forced(plant, e, runner, runner.u).follows
+    if within >= UNLIKE:
+        said = f"{names} follows {plant.name} within short windows (correlation {within:.2f}), not over the whole record"
+        yield Note(own.file, names, f"{said}: {runner.told_until(e.t)}")
+        return
+    raise InputError(
+        f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {max(own.follows, within):.2f},"
+        f" over the whole record and within short windows); {runner.told_until(e.t)}",
+        file=own.file,
+        mend="is it a record of this machine, and are the channels in their places?",
+    )
 
 
 def _peaks(plant: Plant, e: Experiment) -> Iterator[Trial]:
     """What dead zones of several widths leave of the inputs."""
     u = _inputs(plant, e)
-    own = [plant.input_names.index(name) for name in plant.commanded]
+    own = [plant.input_names.index(name) for name in _driving(plant, e)]
     for share in EATEN:
         width = np.quantile(np.abs(u[:, own]), share, axis=0)
         left = u.copy()

@@ -95,6 +95,7 @@ def diagnose(
     templates: Sequence[Template] = (),
     drift: bool = True,
     threads: int = 1,
+    anyway: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """What `plant` lacks to explain the records of `dataset`; gains are of `held_out`, or of `dataset` where there is none.
@@ -103,11 +104,11 @@ def diagnose(
     drift: whether torques that nobody logged may come and go as noise. Such a noise may take in what changes at reversals only,
     friction and offset: where it leaves something that no effect explains, the search is made again without it, and counts if
     what it names helps a second ahead. Parameters and sizes are those of the likelihood or of the free run, whichever errs less
-    a second and the full run ahead.
-    Raises InputError for records that cannot be of this plant; see `check`.
+    a second and the full run ahead. Raises InputError for records that cannot be of this plant, unless the user takes them
+    `anyway`; see `check`.
     """
     began = time.perf_counter()
-    notes = [str(note) for note in check(plant, dataset)]
+    notes = [str(note) for note in check(plant, dataset, anyway=anyway)]
     judge = Judge(held_out or dataset, held_out is not None)
     progress("recalibrating")
     base = _recalibrated(plant, dataset, drift, threads)

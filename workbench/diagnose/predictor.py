@@ -256,7 +256,7 @@ class Predictor:
             disturbance=np.broadcast_to(np.zeros(1), (R, *r.u.shape)),
             noise=np.broadcast_to(np.zeros(1), (R, N, len(self.plant.outputs))),
         )
-        return stepper.run(self.plant, _player(self.plant), lanes, self.substeps, self.threads, steering)
+        return stepper.run(self.plant, player(self.plant), lanes, self.substeps, self.threads, steering)
 
     def _gain_of_all(self, i: int) -> np.ndarray:
         """The gain (N, n, ny) with a row for every angle, sensor memory and drift, 0 where the filter does not carry them."""
@@ -357,7 +357,7 @@ def with_decay(line: Linearization, nd: int, decay: float) -> Linearization:
 
 
 @lru_cache(maxsize=64)
-def _player(plant: Plant) -> Playback:
+def player(plant: Plant) -> Playback:
     """One and the same controller for a plant: kernels are looked up by it."""
     return Playback(plant.input_names, plant.dt)
 
@@ -413,11 +413,11 @@ def _prepared(plant: Plant, e: Experiment) -> Record:
         )
     u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
     y = np.column_stack([e[name] if name in e.names else np.full(len(e), np.nan) for name in plant.output_names])
-    start, scale = _start(plant, y[0], u[0])
+    start, scale = start_of(plant, y[0], u[0])
     return Record(e.name, u, y, start, scale)
 
 
-def _start(plant: Plant, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def start_of(plant: Plant, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """States at the first sample and how far off they may be: the plant's own start, corrected by what was measured then."""
     x, _ = plant.equilibrium()
     scale = 0.3 * np.abs(x) + np.where(x == 0.0, 1.0, 0.0)

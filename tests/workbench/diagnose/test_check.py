@@ -270,7 +270,7 @@ def test_a_short_record_is_told_how_long_it_should_be(winding):
 @pytest.mark.parametrize("plant", [ROBOT, AXIS], ids=["robot", "axis"])
 def test_time_in_another_unit_under_the_header_of_seconds_is_refused_before_anything_runs(plant, factor, unit, mend, monkeypatch):
     e = drawn(plant, "prbs")
-    monkeypatch.setattr("workbench.diagnose.check.simulate_batch", None)  # a sample of 20 s takes 1000 times as many steps
+    monkeypatch.setattr("workbench.diagnose.runs.stepper.run", None)  # a sample of 20 s takes 1000 times as many steps
     reason = refused(plant, replace(e, t=e.t * factor, dt=e.dt * factor))
     assert (reason.file, reason.channel) == (e.name, "t")
     assert f"is its time in {unit}?" in reason.problem
