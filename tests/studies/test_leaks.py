@@ -1,4 +1,4 @@
-"""Too good is wrong too: an output that is handed to a model is told before any score; what only looks like one is not accused."""
+"""Too good is wrong too: an output that is handed to a model is told before any score; what only looks so is not accused."""
 
 import json
 

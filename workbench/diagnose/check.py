@@ -314,7 +314,8 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
             yield _lost(plant, e, runner)
         return
     _check_places(plant, e, own)
-    yield from _unexplained(plant, e, own, runner)
+    slips = [t.slip for t in trials if t.slip and t.slip.sure and (t.slip.exchanged or t.slip.factor == -1.0)]
+    yield from _unexplained(plant, e, own, runner, slips)
 
 
 def _whole(plant: Plant, e: Experiment, runner: Runner, inputs: Sequence[np.ndarray]) -> list[Compared]:
@@ -584,8 +585,11 @@ def _level(y: np.ndarray, z: np.ndarray) -> float:
     return min(abs(float(np.mean(y) - np.mean(z))) / float(np.std(y) + np.std(z)), 1.0)
 
 
-def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner) -> Iterator[Note]:
-    """Refuse what the plant explains in no channel, unless nothing gets through to the outputs, or only peaks of inputs do."""
+def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner, slips: Sequence[Slip]) -> Iterator[Note]:
+    """Refuse what the plant explains in no channel, unless nothing gets through to the outputs, or only peaks of inputs do.
+
+    slips: of inputs, one of which may explain within windows what no run of the whole record does.
+    """
     if own.follows >= UNLIKE or not own.counted:
         return
     names, inputs = ", ".join(own.channels[i].name for i in own.counted), " and ".join(_driving(plant, e))
@@ -600,6 +604,14 @@ def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner) -> 
         said = f"{names} follows {plant.name} within short windows (correlation {within:.2f}), not over the whole record"
         yield Note(own.file, names, f"{said}: {runner.told_until(e.t)}")
         return
+    as_is = _forced(plant, e, runner, runner.u).away
+    for slip in slips:
+        mended = _mended(e, (slip,))
+        better = Runner.of(plant, mended)
+        if _forced(plant, mended, better, better.u).away < BETTER * min(as_is, 1.0):
+            alone = len(plant.commanded) == len(own.channels) == 1  # whatever moves the only output does it alone
+            either = [slip, _reversed(own.channels)] if alone else [slip]
+            raise _slipped(e.name, [Guess((one,), 0.0) for one in either])
     raise InputError(
         f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {max(own.follows, within):.2f},"
         f" over the whole record and within short windows); {runner.told_until(e.t)}",
