@@ -199,7 +199,8 @@ def _report(done: Calibration, found: Sequence[Gain], runs, records: Records, so
 def verdict(done: Calibration, found: Sequence[Gain], held_out: bool) -> str:
     """What was fitted, what it gains, and what is odd, in a few sentences."""
     told = [p.name for p in done.parameters if p.told >= 0.5]
-    said = [f"{len(done.parameters)} parameters fitted; the records decide {', '.join(told) if told else 'none of them'}."]
+    said = [f"{objection[:1].upper()}{objection[1:]}." for objection in done.objections]
+    said += [f"{len(done.parameters)} parameters fitted; the records decide {', '.join(told) if told else 'none of them'}."]
     said.append(gained(found, held_out))
     said += [f"{sentence}." for sentence in done.warnings if "say nothing" not in sentence]
     said += [f"{pair.sentence}." for pair in done.pairs]

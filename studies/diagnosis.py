@@ -151,7 +151,7 @@ def page(plant: Plant, found: Diagnosis, records: Records, at: Stages, source: d
         *([Section("Notes", notes(found.notes))] if found.notes else []),
         Section("Provenance", (Provenance(source),)),
     ]
-    said = sentences(found, records.held_out is not None, at.errors)
+    said = [*map(ended, found.objections), *sentences(found, records.held_out is not None, at.errors)]
     return Report(f"Diagnosis of {found.plant}", "\n\n".join(said), tuple(sections))
 
 

@@ -1,14 +1,16 @@
 """What is handed out is compared with what it replaces: the arithmetic, and calibrations that would be worse."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.workbench.diagnose.drive import DRIVE, records
 from workbench.diagnose.calibrate import calibrate, gains, trajectories
+from workbench.diagnose.diagnosis import _objection
 from workbench.diagnose.gains import Held, Score
-from workbench.diagnose.referee import changes, harms, helps, worse
+from workbench.diagnose.referee import Change, changes, harms, helps, worse
 
 DT, N = 0.01, 4000
 
@@ -75,6 +77,55 @@ def test_what_was_not_measured_does_not_count():
     gap = np.where(np.arange(N) < 500, np.nan, e)
     (change,) = changes(held(("one-step", gap)), held(("one-step", 0.5 * gap)))
     assert change.share == pytest.approx(0.5)
+
+
+class Told:
+    """A judge that has looked already."""
+
+    held_out = True
+
+    def __init__(self, *found: Change, surprise: float = -50.0):
+        self._found, self._surprise = found, surprise
+
+    def between(self, before, after):
+        return self._found
+
+    def surprise(self, before, after):
+        return self._surprise
+
+
+@pytest.mark.parametrize(
+    ("gain", "left", "first", "change", "named"),
+    [
+        (60.0, 0.0, True, ("one-step", 1.0, 0.9999), True),  # nothing is ever asked of a first cause but its likelihood
+        (60.0, 61.0, True, ("one-step", 1.0, 0.5), False),  # but that no more is left than it explains
+        (60.0, 0.0, False, ("one-step", 1.0, 0.9960), False),  # 0.4 % of an error is no reason for a second name
+        (60.0, 0.0, False, ("one-step", 1.0, 0.9945), True),  # 0.55 % is, where nothing is left
+        (60.0, 50.0, False, ("one-step", 1.0, 0.9945), False),  # and is not beside a remainder,
+        (60.0, 50.0, False, ("one-second", 1.0, 0.9890), True),  # where 1 % is
+    ],
+)
+def test_what_a_cause_must_gain(gain, left, first, change, named):
+    step = SimpleNamespace(gain=gain, before=None, after=None)
+    horizon, before, after = change
+    objection = _objection(step, first, left, Told(Change("y", horizon, "m", before, after, True)), False)
+    assert (objection == "") is named
+
+
+def test_a_further_cause_must_not_make_another_error_worse():
+    step = SimpleNamespace(gain=60.0, before=None, after=None)
+    better, rose = Change("y", "one-second", "m", 1.0, 0.9, True), Change("z", "one-step", "m", 1.0, 1.01, True)
+    assert "makes an error worse (z one-step" in _objection(step, False, 0.0, Told(better, rose), False)
+    assert _objection(step, False, 0.0, Told(better, replace(rose, sure=False)), False) == ""
+    assert _objection(step, True, 0.0, Told(better, rose), False) == ""
+    assert "held-out" in _objection(step, True, 0.0, Told(better, surprise=1.0), False)
+
+
+def test_what_is_found_without_coloured_torques_is_judged_a_second_ahead():
+    step = SimpleNamespace(gain=60.0, before=None, after=None)
+    ahead = Change("y", "one-second", "m", 1.0, 0.8, True)
+    assert _objection(step, True, 0.0, Told(ahead, surprise=1.0), True) == ""
+    assert "held-out" in _objection(step, True, 0.0, Told(replace(ahead, sure=False), surprise=-50.0), True)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
