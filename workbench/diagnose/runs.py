@@ -123,8 +123,8 @@ class Runner:
         u = np.broadcast_to(self.u, (len(tried), *self.u.shape))
         z = self._run(u, np.stack([x for *_, x in tried]), np.stack([p for _, p, _ in tried]))[1]
         far = ~(np.abs(self.y - z) <= LEFT * self.spread) & np.isfinite(self.y)
-        far = far.any(axis=2) | ~np.isfinite(z).all(axis=2)
-        until = np.where(far.any(axis=1), far.argmax(axis=1), N)
+        gone = np.asarray(far.any(axis=2) | ~np.isfinite(z).all(axis=2))
+        until = np.where(gone.any(axis=1), gone.argmax(axis=1), N)
         best = int(until.argmax())
         if until[0] == N:
             return f"the simulation stays within {LEFT:g} spreads of the record"
@@ -166,7 +166,7 @@ class Runner:
             J = (missed(moved, np.repeat(u, nx, axis=0), np.repeat(y, nx, axis=0)).reshape(R, nx, -1) - r[:, None]) / step[
                 :, None
             ]
-            known = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(r).all(axis=1)
+            known = np.asarray(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(r).all(axis=1))
             J, own = np.where(known[:, None, None], J, 0.0), np.where(known[:, None], r, 0.0)
             g = np.einsum("rik,rk->ri", J, own) + (x - guess) @ prior
             change = -np.linalg.solve(J @ J.transpose(0, 2, 1) + prior, g[:, :, None])[:, :, 0]

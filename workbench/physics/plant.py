@@ -594,7 +594,7 @@ class Plant:
                 moving &= ~(np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown])), axis=1) < 1e-13)
                 if not moving.any():
                     break
-        z[np.ix_(moving, unknown)] = np.nan
+        z[np.flatnonzero(moving)[:, None], unknown] = np.nan
         return z
 
     def _searched(self, z: np.ndarray, guess: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -606,6 +606,8 @@ class Plant:
 
         unknown = [(*self.state_names, *self.input_names).index(name) for name in self.start.solve_for]
         outside, trial = z, z.copy()
+
+        slopes: Any = lambda values: at(values)[1]  # noqa: E731  (its declared type knows words only)
 
         def at(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             trial[unknown] = values
@@ -623,7 +625,7 @@ class Plant:
             bounds = low - 1e-9 * np.abs(low) - 1e-300, high + 1e-9 * np.abs(high) + 1e-300  # a guess may lie at a limit
             try:
                 with np.errstate(all="ignore"):
-                    found = least_squares(lambda v: at(v)[0], first, lambda v: at(v)[1], bounds, x_scale="jac").x
+                    found = least_squares(lambda v: at(v)[0], first, slopes, bounds, x_scale="jac").x
             except (ValueError, np.linalg.LinAlgError):  # a slope that is no number on the way
                 continue
             trial[unknown] = found
@@ -672,7 +674,7 @@ class Plant:
 
 def _solved(J: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """J^-1 rates (R, n), NaN where J (R, n, n) is singular or not finite: an endless slope makes a step of 0 of any rate."""
-    rates = np.where(np.isfinite(J).all(axis=(1, 2), keepdims=True)[:, :, 0], rates, np.nan)
+    rates = np.where(np.asarray(np.isfinite(J).all(axis=(1, 2)))[:, None], rates, np.nan)
     try:
         return np.linalg.solve(J, rates[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
