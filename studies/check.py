@@ -20,7 +20,7 @@ from controllers.tuning import DEFAULT
 from studies.arguments import Chosen, choose_controller, choose_plant, numbers, run_folder
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
-from workbench.files import write_json
+from workbench.files import nullable, write_json
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, PiecewiseLinear, Powers, load_model
@@ -108,7 +108,7 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
     content = {"status": status.value, "verdicts": [v.to_dict() for v in verdicts], "provenance": source}
     for path in (folder / "check.json", options.json):
         if path:
-            write_json(path, content)
+            write_json(path, nullable(content))
     sections = [Section("Verdicts", (verdict_table(verdicts),))]
     sections += [Section(title, part.blocks) for title, part in parts if part.blocks]
     sections.append(Section("Provenance", (Provenance(source),)))

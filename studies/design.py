@@ -27,7 +27,7 @@ from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
-from workbench.files import write_json, write_text
+from workbench.files import nullable, write_json, write_text
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
@@ -170,9 +170,9 @@ def _finished(options: Namespace, folder: Path, path: Path, result: dict, files:
     say(f"      workbench check --controller {path} --limits limits.toml --model {options.model} --records ..")
     configuration = {key: value for key, value in vars(options).items() if key != "json"}
     whole = {"controller": str(path)} | result | {"provenance": provenance(configuration, files)}
-    write_json(folder / "design.json", whole)
+    write_json(folder / "design.json", nullable(whole))
     if options.json:
-        write_json(options.json, whole)
+        write_json(options.json, nullable(whole))
     return 0
 
 

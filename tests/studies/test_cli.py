@@ -289,3 +289,33 @@ def test_what_the_shell_runs_says_a_crash_with_a_code_that_is_no_answer(monkeypa
     monkeypatch.setattr("studies.commands.run", lambda options: 1)
     assert cli.console() == 1
     assert '"studies.cli:console"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def test_a_kilohertz_record_is_thinned_with_a_word_and_the_user_may_choose(tmp_path, capsys):
+    from tests.workbench.test_decimation import slow
+    from workbench.readers import write_csv
+
+    write_csv(slow(0.001), tmp_path / "fast.csv")
+    words = ("identify", str(tmp_path / "fast.csv"), "--output", "y", "--inputs", "u", "--model", "lti", "--order", "1")
+    assert main([*words, "--out", str(tmp_path / "m")]) == 0
+    assert "note: fast: sampled every 0.001 s, used every 0.0" in capsys.readouterr().out
+    used = json.loads((tmp_path / "m" / "scores.json").read_text())["provenance"]["configuration"]["dt"]
+    assert 0.01 <= used <= 0.06
+    assert main([*words, "--dt", "0.02", "--out", str(tmp_path / "n")]) == 0
+    assert "used every 0.02 s (as asked)" in capsys.readouterr().out
+
+
+def test_records_that_are_refused_may_be_taken_anyway_and_the_provenance_says_so(tmp_path, capsys):
+    assert main(["simulate", "welding-robot", "--experiment", "rbs", "--seed", "3", "--out", str(tmp_path)]) == 0
+    e = read(tmp_path / "rbs.csv")
+    rows = (tmp_path / "rbs.csv").read_text().splitlines()
+    at = rows[0].split(",").index("u [N]")
+    lines = [rows[0], *(",".join(f"-{c}" if i == at else c for i, c in enumerate(row.split(","))) for row in rows[1:])]
+    (tmp_path / "reversed.csv").write_text("\n".join(line.replace("--", "") for line in lines) + "\n")
+    assert read(tmp_path / "reversed.csv")["u"] == pytest.approx(-e["u"])
+    words = ("calibrate", str(tmp_path / "reversed.csv"), "--plant", "welding-robot", "--parameters", "m1")
+    assert "looks reversed in sign" in refused(capsys, *words, "--out", str(tmp_path / "k"))
+    main([*words, "--anyway", "--out", str(tmp_path / "k")])
+    assert "taken all the same: u looks reversed in sign" in capsys.readouterr().out
+    stored = json.loads((tmp_path / "k" / "calibration.json").read_text())
+    assert stored["provenance"]["configuration"]["anyway"] is True
