@@ -24,7 +24,7 @@ from workbench.robustness.loop import check_law
 
 BETWEEN = 4  # schedule values checked per value in the program
 ROOM = 5e-3  # by which the programs keep the bounds more than asked, for what lies between
-ENOUGH = 2e-3  # gain of a program below which a design is done
+ENOUGH, REFINED = 2e-3, 1e-2  # gain of a step below which a design is done; a refined one
 REFINEMENTS = 6
 PEAKS = ("sensitivity", "complementary", "effort", "loops", "radius")
 
@@ -52,6 +52,24 @@ class FrozenPoint:
     @property
     def gain(self) -> np.ndarray:
         return np.real(self.response(np.zeros(1))[0])
+
+    def poles(self, Kp: np.ndarray, Ki: np.ndarray, Kd: np.ndarray, Tf: float) -> np.ndarray:
+        """Poles of the loop with these gains (nu, ny), for outputs in units of `scale`.
+
+        States x; z+ = z - dt Ki y; q+ = a q - (a - 1) / (Tf + dt) y with a = Tf / (Tf + dt); u = -K y + z + Kd q, where
+        K = Kp + Kd / (Tf + dt) and y = C x + D u.
+        """
+        C, D = self.C / self.scale[:, None], self.D / self.scale[:, None]
+        nu, ny = Kp.shape
+        nx, direct, a = len(self.A), Kp + Kd / (Tf + self.dt), Tf / (Tf + self.dt)
+        u = np.linalg.solve(np.eye(nu) + direct @ D, np.hstack([-direct @ C, np.eye(nu), Kd]))  # of (x, z, q)
+        y = D @ u
+        y[:, :nx] += C
+        A = np.vstack([self.B @ u, -self.dt * Ki @ y, (1.0 - a) / (Tf + self.dt) * y])
+        A[:nx, :nx] += self.A
+        A[nx : nx + nu, nx : nx + nu] += np.eye(nu)
+        A[nx + nu :, nx + nu :] += a * np.eye(ny)
+        return np.linalg.eigvals(A)
 
 
 @record
@@ -139,7 +157,7 @@ def design_pid(
     plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
     held = plan.held(setpoint)
     plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), held)  # refuses limits that cross, before any work
-    omega = frequencies(model.dt)
+    omega = plan.frequencies()
     first = []
     for rho in grid:
         first.append(plan.tuned([rho], np.ones((1, 1)), omega))
@@ -147,10 +165,12 @@ def design_pid(
     alone = np.array([own.low_frequency.min() for own in first])
     X = np.concatenate([own.X for own in first], axis=1)
     rhos = grid if len(grid) == 1 else np.sort(np.concatenate([grid, 0.5 * (grid[1:] + grid[:-1])]))
+    path = [X]
     for attempt in range(REFINEMENTS):
         if len(grid) > 1 or attempt:
             goals = np.exp(np.interp(rhos, grid, np.log(alone)))
-            X = plan.tuned(rhos, plan.basis(rhos), omega, goals, X).X
+            found = plan.tuned(rhos, plan.basis(rhos), omega, goals, path[::-1], REFINED if attempt else ENOUGH)
+            X, path = found.X, found.path
         law, checked = plan.law(X, held), plan.between(rhos)
         margins = plan.margins(law, checked)
         bad = margins.broken(bounds)
@@ -272,6 +292,24 @@ def frequencies(dt: float, finer: int = 1) -> np.ndarray:
     return shares * np.pi / dt
 
 
+def around(poles: np.ndarray, dt: float) -> np.ndarray:
+    """Frequencies in rad/s at which poles in z turn, and some of the width of their peaks to either side."""
+    s = _logarithm(poles) / dt
+    found = np.abs(s.imag)[:, None] + np.abs(s.real)[:, None] * np.linspace(-2.0, 2.0, 9)
+    lowest, highest = frequencies(dt)[[0, -1]]
+    return np.unique(found[(found > lowest) & (found < highest)])
+
+
+def resonant(poles: np.ndarray) -> np.ndarray:
+    """Those poles in z that turn more than they fade: the others have no peaks of their own."""
+    s = _logarithm(poles)
+    return poles[np.abs(s.imag) > 2.0 * np.abs(s.real)]
+
+
+def _logarithm(poles: np.ndarray) -> Any:
+    return np.log(np.where(poles == 0.0, 1e-300, poles).astype(complex))
+
+
 class _Plan:
     """A design under way: the models, where the surface has its coefficients, and what the law may look like."""
 
@@ -290,6 +328,13 @@ class _Plan:
             dead = model.outputs[int(np.argmin(self.scale))].name
             raise InputError("no input moves it in the steady state", file=model.name, channel=dead, mend="leave this output out")
         self.Tf = 2.0 * model.dt if structure.Tf is None else structure.Tf
+
+    def frequencies(self) -> np.ndarray:
+        """Where the programs look: evenly, and around what a plant resonates at."""
+        poles = np.concatenate(
+            [np.linalg.eigvals(m.freeze(rho if m.schedule else None)[0]) for m in self.models for rho in self.grid]
+        )
+        return np.union1d(frequencies(self.model.dt), around(resonant(poles), self.model.dt))
 
     def place(self, rho: float) -> str:
         schedule = self.model.schedule
@@ -312,22 +357,24 @@ class _Plan:
     def basis(self, rhos: np.ndarray) -> np.ndarray:
         return np.ones((len(rhos), 1)) if self.fixed else PiecewiseLinear(self.grid)(rhos)
 
-    def tuned(self, rhos, weights, omega, goals=None, start=None) -> Tuned:
-        """One design for every model at every one of these schedule values; from `start` where that keeps the bounds."""
+    def tuned(self, rhos, weights, omega, goals=None, starts=(), enough=ENOUGH) -> Tuned:
+        """One design for every model at every one of these schedule values; from one of `starts` where that keeps the bounds."""
         n = len(self.models)
         plants = [self.frozen(model, rho, self.scale) for rho in rhos for model in self.models]
-        options = {"allowed": self.structure.allowed, "goals": None if goals is None else np.repeat(goals, n)}
+        weights = np.repeat(weights, n, axis=0)
+
+        def closed(X: np.ndarray) -> np.ndarray | None:
+            gains = np.einsum("ij,qjab->iqab", weights, X)
+            whole: Any = gains if self.structure.derivative else np.concatenate([gains, np.zeros_like(gains[:, :1])], axis=1)
+            poles = np.concatenate(
+                [plant.poles(own[0], own[1], own[2], self.Tf) for plant, own in zip(plants, whole, strict=True)]
+            )
+            return around(resonant(poles), self.model.dt) if np.abs(poles).max() < 1.0 else None
+
         return tune(
-            plants,
-            np.repeat(weights, n, axis=0),
-            self.parts,
-            omega,
-            self.bounds,
-            start=start,
-            room=ROOM,
-            enough=ENOUGH,
-            **options,
-        )
+            plants, weights, self.parts, omega, self.bounds, goals=None if goals is None else np.repeat(goals, n),
+            allowed=self.structure.allowed, starts=starts, closed=closed, room=ROOM, enough=enough,
+        )  # fmt: skip
 
     def law(self, X: np.ndarray, held: np.ndarray) -> ScheduledPID:
         """The law with these parts; at rest at `held` (m, ny) it needs no integral."""

@@ -15,7 +15,10 @@ V = U / Ms with the unitary factor U of Z leaves more room: (Z* U + U* Z) / 2 >=
 [1]. Gains that keep the bounds stay allowed in the next program, so t never falls. The answer is a local optimum.
 
 Z stays in the half space of its last value at every frequency, also where no bound is near: on the straight way between two gains
-no Z is singular then, and the loop stays as stable as the first one, integral action alone, was.
+no Z is singular then. Between the frequencies that says nothing, so every step is looked at by the poles of its closed loops and
+where they turn, and shortened until they are stable and the bounds are kept. So only a start can be refused; there are several:
+integral action alone, as much as is kept; and of laws c P(0)^-1 drawn over all crossovers the one with most low-frequency action,
+and calmer ones with at most half of its effort, as laws for tighter bounds have.
 
 [1] Hast, Astrom, Bernhardsson, Boyd, "PID design by convex-concave optimization", European Control Conference 2013.
 [2] Boyd, Hast, Astrom, "MIMO PID tuning via iterated LMI restriction", Int. J. Robust Nonlinear Control 26 (2016) 1718-1731.
@@ -30,7 +33,16 @@ from workbench.errors import InputError
 from workbench.records import field, record
 from workbench.robustness.semidefinite import Cone, conic, vector
 
-ROUNDS = 40  # programs after which a design that still improves is left as it is
+ROUNDS = 40  # steps after which a design that still improves is left as it is
+FIRST, FEW = 4, 3  # steps that each start has before the best of them goes on; gains up to which all of them go on to the end
+SOLVES = 12  # of a solver in one step; then its last answer is shortened until it is one
+STARTS, CALMER, WORTH = (
+    3,
+    0.5,
+    0.1,
+)  # designs begun anew; shares of the effort that the next may need, of the action that it must have
+DRAWN, AGAIN = 400, 5  # laws drawn for a start, and how often where none of them keeps the bounds
+SHORTEST = 1e-2  # of a step
 NEAR = 0.9  # of a bound, from where on it enters the program
 SLACK = 1e-4  # by which a solver's answer may break a bound
 ACCURACY = 1e-8  # of the solver
@@ -76,13 +88,15 @@ DEFAULT = Bounds()
 class Tuned:
     """Gains X (nq, m, nu, ny) of the parts of the law, and per plant t_i = sigma_min(P(0) Ki) and the peaks reached.
 
-    peaks (n, 3) of |S|, |T|, |Q| over the frequencies of the programs; rounds: programs solved; steps (rounds): t after each.
+    peaks (n, 3) of |S|, |T|, |Q| over the frequencies of the programs; steps (rounds): t after each step; path (rounds + 1 ...):
+    the laws from the start to X, each of which keeps the bounds.
     """
 
     X: np.ndarray = field("nq m nu ny")
     low_frequency: np.ndarray = field("n")
     peaks: np.ndarray = field("n 3")
     steps: np.ndarray = field("rounds")
+    path: np.ndarray = field("k nq m nu ny")
 
 
 def tune(
@@ -94,7 +108,8 @@ def tune(
     *,
     goals: np.ndarray | None = None,
     allowed: np.ndarray | None = None,
-    start: np.ndarray | None = None,
+    starts: Sequence[np.ndarray] = (),
+    closed: Callable[[np.ndarray], np.ndarray | None] | None = None,
     room: float = 0.0,
     enough: float = 1e-4,
 ) -> Tuned:
@@ -102,30 +117,33 @@ def tune(
 
     weights (n, m): basis functions at the plants' schedule values. parts(omega) (N, nq): what the gains are multiplied with,
     in the order proportional, integral, rest. omega (N,): frequencies in rad/s at which the bounds are kept. goals (n,): t_i,
-    what each plant alone reaches; default 1. allowed (nu, ny): entries of the gains that may differ from 0. start: gains to
-    begin from, where a program near them keeps the bounds; else integral action alone. room: the programs keep the bounds by this
-    share more, for what lies between their frequencies. enough: relative gain of t in a round below which the design is done.
+    what each plant alone reaches; default 1. allowed (nu, ny): entries of the gains that may differ from 0. starts: gains to
+    begin from, the first of them that keeps the bounds, or gains near the first of all that do; without one it begins anew,
+    several times, and the best is taken. closed: of gains X the frequencies that the poles of all closed loops turn at, where
+    the bounds are looked at too, or None where a pole is unstable; without it a design begins with integral action alone, and
+    nothing but `omega` says that the loops stay stable. room: the programs keep the bounds by this share more, for what lies
+    between their frequencies. enough: relative gain of t in a step below which the design is done.
     Raises InputError where P(0) leaves no integral action, or where no start keeps the bounds.
     """
-    task = _Task(plants, weights, parts, omega, bounds, goals, allowed, room)
-    X = None if start is None else task.allowed(np.asarray(start, dtype=float))
-    X = task.start() if X is None else X
-    steps: list[float] = []
-    while len(steps) < ROUNDS:
-        X, t = task.improved(X)
-        steps.append(t)
-        if len(steps) > 1 and t <= steps[-2] * (1.0 + enough):
-            break
-    return Tuned(X, task.low_frequency(X), task.peaks(X), np.array(steps))
+    task = _Task(plants, weights, parts, omega, bounds, goals, allowed, room, closed)
+    begun = task.from_given(starts) or task.starts()
+    first = ROUNDS if len(begun) == 1 or len(task.free[0]) <= FEW else FIRST
+    tried = [task.climbed([X], enough, first) for X in begun]
+    path = task.climbed(max(tried, key=lambda path: task.worst(path[-1])), enough, ROUNDS)
+    steps = np.array([task.worst(X) for X in path[1:]])
+    return Tuned(path[-1], task.low_frequency(path[-1]), task.peaks(path[-1]), steps, np.array(path))
 
 
 class _Task:
     """The programs of one design: plants and parts at all frequencies, and the bounds with room to spare."""
 
-    def __init__(self, plants, weights, parts, omega, bounds, goals, allowed, room):
-        self.P = np.stack([plant.response(omega) for plant in plants])  # (n, N, ny, nu)
+    def __init__(self, plants, weights, parts, omega, bounds, goals, allowed, room, closed):
+        self.plants, self.parts_at, self.closed = plants, parts, closed
         self.P0 = np.stack([plant.gain for plant in plants])
-        self.weights, self.parts = np.asarray(weights, dtype=float), parts(omega)
+        self.weights = np.asarray(weights, dtype=float)
+        self.omega = np.empty(0)
+        self.sparse = self.skeleton = np.empty(0, dtype=bool)
+        self._look_at(np.asarray(omega, dtype=float))
         self.goals = np.ones(len(plants)) if goals is None else np.asarray(goals, dtype=float)
         n, N, ny, nu = self.P.shape
         smallest = np.linalg.svd(self.P0, compute_uv=False)[:, ny - 1 :].min(axis=1) if ny <= nu else np.zeros(n)
@@ -143,16 +161,28 @@ class _Task:
         self.at_input = bounds.broken == "input"
         self.shape = (self.parts.shape[1], self.weights.shape[1], nu, ny)
         allowed = np.ones((nu, ny), dtype=bool) if allowed is None else np.asarray(allowed, dtype=bool)
-        self.free = np.nonzero(np.broadcast_to(allowed, self.shape))  # (q, j, a, b) of every variable
-        self.skeleton = np.zeros(N, dtype=bool)
-        self.skeleton[:: max(1, N // 12)] = True
-        self.sparse = np.arange(N) % 3 == 0
+        self.mask = np.broadcast_to(allowed, self.shape)
+        self.free = np.nonzero(self.mask)  # (q, j, a, b) of every variable
+        self.skeleton, self.sparse = np.arange(N) % max(1, N // 12) == 0, np.arange(N) % 3 == 0
+
+    def _look_at(self, omega: np.ndarray) -> np.ndarray:
+        """Have the bounds kept at these frequencies too; where the old ones stand now."""
+        known = self.omega
+        self.omega = np.union1d(known, omega)
+        at = np.searchsorted(self.omega, known)
+        self.P = np.stack([plant.response(self.omega) for plant in self.plants])  # (n, N, ny, nu)
+        self.parts = self.parts_at(self.omega)
+        for name in ("skeleton", "sparse"):
+            wider = np.zeros(len(self.omega), dtype=bool)
+            wider[at] = getattr(self, name)
+            setattr(self, name, wider)
+        return at
 
     # ---- what gains do -------------------------------------------------------------------------------------------------
 
-    def _laws(self, X: np.ndarray) -> np.ndarray:
+    def _laws(self, X: np.ndarray, parts: np.ndarray | None = None) -> np.ndarray:
         """K (n, N, nu, ny)."""
-        return np.einsum("wq,ij,qjab->iwab", self.parts, self.weights, X)
+        return np.einsum("wq,ij,qjab->iwab", self.parts if parts is None else parts, self.weights, X)
 
     def low_frequency(self, X: np.ndarray) -> np.ndarray:
         """sigma_min(P(0) Ki), (n,)."""
@@ -161,12 +191,13 @@ class _Task:
     def _low(self, X: np.ndarray) -> np.ndarray:
         return self.P0 @ np.einsum("ij,jab->iab", self.weights, X[1])
 
-    def _norms(self, X: np.ndarray) -> np.ndarray:
+    def _norms(self, X: np.ndarray, P: np.ndarray | None = None, parts: np.ndarray | None = None) -> np.ndarray:
         """|S|, |T|, |Q| by plant and frequency, (n, N, 3)."""
-        K, L = self._laws(X), self._loops(X)
+        P, K = self.P if P is None else P, self._laws(X, parts)
+        L = K @ P if self.at_input else P @ K
         S = np.linalg.inv(np.eye(L.shape[-1]) + L)
-        Q = K @ np.linalg.inv(np.eye(self.P.shape[2]) + self.P @ K)
-        return np.stack([np.linalg.norm(M, 2, axis=(-2, -1)) for M in (S, L @ S, Q)], axis=-1)
+        Q = K @ np.linalg.inv(np.eye(P.shape[2]) + P @ K)
+        return np.stack([_size(M) for M in (S, L @ S, Q)], axis=-1)
 
     def excess(self, X: np.ndarray) -> np.ndarray:
         """The norms as parts of what is allowed."""
@@ -175,60 +206,158 @@ class _Task:
     def peaks(self, X: np.ndarray) -> np.ndarray:
         return self._norms(X).max(axis=1)
 
-    def start(self) -> np.ndarray:
-        """Integral action alone, Ki = epsilon P(0)^-1: the most that keeps the bounds, found from below in steps of two.
+    def stable(self, X: np.ndarray) -> bool:
+        return self.closed is None or self.closed(X) is not None
 
-        For small epsilon it is stable with S near 1 on every stable plant; from there on |S| stays bounded, so no pole crosses.
+    def fits(self, X: np.ndarray) -> bool:
+        """Whether gains keep the bounds at every frequency, and every loop stable; also where its own poles turn."""
+        if self.excess(X).max() > 1.0 + SLACK:
+            return False
+        if self.closed is None:
+            return True
+        turning = self.closed(X)
+        return turning is not None and (len(turning) == 0 or bool(self._elsewhere(X, turning).max() <= 1.0 + SLACK))
+
+    def _elsewhere(self, X: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        """`excess` at other frequencies."""
+        P = np.stack([plant.response(omega) for plant in self.plants])
+        return self._norms(X, P, self.parts_at(omega)) / self.limits[:, None]
+
+    # ---- where to begin ------------------------------------------------------------------------------------------------
+
+    def near(self, X: np.ndarray) -> np.ndarray | None:
+        """X where it fits, else the answer of the program at X, which may fit all the same; or None."""
+        if self.fits(X):
+            return X
+        found = self._solved_at(X)
+        return found if found is not None and self.fits(found) else None
+
+    def from_given(self, starts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """One that fits of these or near the first, which is the most wanted; or none."""
+        for number, X in enumerate(starts):
+            found = self.near(X) if number == 0 else X if self.fits(X) else None
+            if found is not None:
+                return [found]
+        return []
+
+    def starts(self) -> list[np.ndarray]:
+        """Laws that fit: integral action alone, and the best of those drawn, each calmer than the last."""
+        inverse, reason = self._inverse()
+        found = [] if reason else self._integral_alone(inverse)
+        random = np.random.default_rng(0)
+        for _ in range(AGAIN if self.closed else 0):
+            found += self._best_of_drawn(inverse, random, STARTS - len(found))
+            if found:
+                break
+        if found:
+            return found
+        raise InputError(
+            reason or "no law was found that keeps the bounds",
+            mend="more knots, or allow more entries" if reason else "loosen the bounds",
+        )
+
+    def _inverse(self) -> tuple[np.ndarray, str]:
+        """W (m, nu, ny), as near to P_i(0)^-1 at every plant as the structure lets it be; and what forbids integral action by it.
+
+        For small epsilon the law Ki = epsilon W is stable with S near 1 on every stable plant with P(0) W > 0; from there on |S|
+        stays bounded, so no pole crosses.
         """
         wanted = np.linalg.pinv(self.P0).reshape(len(self.P0), -1)
+        W = np.linalg.lstsq(self.weights, wanted, rcond=None)[0].reshape(self.shape[1:]) * self.mask[1]
+        low = self.P0 @ np.einsum("ij,jab->iab", self.weights, W)
+        suits = np.linalg.eigvalsh(low + np.swapaxes(low, -1, -2)).min() > 0.0
+        return W, "" if suits else "no integral action of this structure suits every plant"
+
+    def _integral_alone(self, W: np.ndarray) -> list[np.ndarray]:
+        """Ki = epsilon W, the most that fits, found from below in steps of two; none where even the smallest does not."""
         X = np.zeros(self.shape)
-        X[1] = np.linalg.lstsq(self.weights, wanted, rcond=None)[0].reshape(self.shape[1:])
-        mask = np.zeros(self.shape, dtype=bool)
-        mask[self.free] = True
-        X *= mask
-        symmetric = self._low(X) + np.swapaxes(self._low(X), -1, -2)
-        if np.linalg.eigvalsh(symmetric).min() <= 0.0:
-            raise InputError("no integral action of this structure suits every plant", mend="more knots, or allow more entries")
-        epsilon = 1e-6 / np.abs(self.parts[:, 1]).min()
-        if self.excess(epsilon * X).max() > 1.0:
-            raise InputError("even the smallest integral action breaks the bounds", mend="loosen the bounds")
-        while self.excess(2.0 * epsilon * X).max() <= 1.0:
-            epsilon *= 2.0
-        return epsilon * X
+        X[1] = 1e-6 / np.abs(self.parts[:, 1]).min() * W
+        if not self.fits(X):
+            return []
+        while self.fits(2.0 * X):
+            X = 2.0 * X
+        return [X]
 
-    # ---- one program ---------------------------------------------------------------------------------------------------
+    def _best_of_drawn(self, W: np.ndarray, random: np.random.Generator, count: int) -> list[np.ndarray]:
+        """Of laws sum_q c_q part_q W the one that fits with most low-frequency action, and calmer ones; of none the nearest.
 
-    def allowed(self, X: np.ndarray) -> np.ndarray | None:
-        """X where it keeps the bounds, else the answer of the program at X, which may have one all the same; or none."""
-        return X if self.excess(X).max() <= 1.0 else self._kept(X)
+        c: what each part does to the loop at a crossover that is drawn too, of either sign.
+        """
+        law = np.einsum("ij,jab->iab", self.weights, W)
+        loop = np.linalg.norm(law[:, None] @ self.P, axis=(-2, -1)).mean(axis=0)
+        nq = self.shape[0]
+        at = random.integers(len(loop), size=DRAWN)
+        size = 10.0 ** random.uniform(-2.5, 1.0, (DRAWN, nq)) * random.choice([-1.0, 1.0], (DRAWN, nq), p=[0.25, 0.75])
+        drawn = [np.einsum("q,jab->qjab", c, W) * self.mask for c in size / (np.abs(self.parts[at]) * loop[at, None])]
+        excess = [self.excess(X).max(axis=(0, 1)) for X in drawn]
+        kept = sorted((i for i in range(DRAWN) if excess[i].max() <= 1.0), key=lambda i: -self.worst(drawn[i]))
+        found, effort = [], np.inf
+        for i in kept:
+            if found and self.worst(drawn[i]) < WORTH * self.worst(found[0]):
+                break
+            if len(found) < count and excess[i][2] <= effort and self.stable(drawn[i]):
+                found, effort = [*found, drawn[i]], CALMER * excess[i][2]
+        if found:
+            return found
+        nearest = (X for X in sorted(drawn, key=lambda X: self.excess(X).max())[: DRAWN // 10] if self.stable(X))
+        tried = (self.near(X) for X, _ in zip(nearest, range(count), strict=False))
+        return [X for X in tried if X is not None]
 
-    def improved(self, X: np.ndarray) -> tuple[np.ndarray, float]:
-        """The gains of the program that is tight at X, and their t; X itself where it gains nothing."""
-        found = self._kept(X)
-        best = max((X, found), key=self._worst) if found is not None else X
-        return best, self._worst(best)
+    # ---- one step ------------------------------------------------------------------------------------------------------
 
-    def _worst(self, X: np.ndarray) -> float:
+    def worst(self, X: np.ndarray) -> float:
+        """t."""
         return float((self.low_frequency(X) / self.goals).min())
 
-    def _kept(self, X: np.ndarray) -> np.ndarray | None:
+    def climbed(self, path: list[np.ndarray], enough: float, rounds: int) -> list[np.ndarray]:
+        """Step after step on from a path, each with more low-frequency action, until there is no more to gain."""
+        path, gains = list(path), [self.worst(X) for X in path]
+        while len(path) <= rounds and not (len(path) > 2 and gains[-1] <= gains[-2] * (1.0 + enough)):
+            path.append(self._improved(path[-1]))
+            gains.append(self.worst(path[-1]))
+        return path
+
+    def _improved(self, X: np.ndarray) -> np.ndarray:
+        """The gains of the program that is tight at X, or as far on the way there as they fit; X where that gains nothing."""
+        found, share = self._solved_at(X), 1.0
+        while found is not None and share > SHORTEST:
+            between = X + share * (found - X)
+            if self.worst(between) > self.worst(X) and self.fits(between):
+                return between
+            share *= 0.5
+        return X
+
+    def _solved_at(self, X: np.ndarray) -> np.ndarray | None:
         """The answer of the program at X: bounds enter where they are near, and where an answer broke them, until none does."""
         norms = self._norms(X)
         size = norms / self.limits[:, None]
         # where the loop gain is high the bounds are out of reach, and their numbers too large for a solver
         chosen = (size > NEAR) & (self.sparse[:, None] | _peaks(size)) | (self.skeleton[:, None] & (norms[..., :1] > 0.1))
-        while (found := self._solved(X, chosen)) is not None:
+        found = None
+        for _ in range(SOLVES):
+            found = self._solved(X, chosen)
+            if found is None:
+                return None
             size = self.excess(found)
             broken = size > 1.0 + SLACK
             broken[..., 0] |= self._turned(X, found)
-            if not broken.any():
-                return found
-            if not (broken & ~chosen).any():  # the solver's answer is not good enough
-                return None
-            chosen |= broken & (_peaks(size) | self.sparse[:, None])
-            if not (broken & chosen).any():
-                chosen |= broken
-        return None
+            new = broken & ~chosen
+            if not new.any():  # kept where it was looked at, or the solver's answer is not good enough
+                turning = self.closed(found) if self.closed else None
+                if turning is None or len(turning) == 0:
+                    return found
+                over = self._elsewhere(found, turning) > 1.0 + SLACK
+                if not over.any():
+                    return found
+                before = chosen
+                at = self._look_at(turning[over.any(axis=(0, 2))])
+                chosen = np.zeros((len(over), len(self.omega), 3), dtype=bool)
+                chosen[:, at] = before
+                new = (self.excess(found) > 1.0 + SLACK) & ~chosen
+                size = self.excess(found)
+            some = new & (_peaks(size) | self.sparse[:, None])
+            chosen |= some if some.any() else new
+        return found
 
     def _turned(self, X: np.ndarray, found: np.ndarray) -> np.ndarray:
         """Where I + L left the half space of its last value, (n, N): the way between the two may pass a singular matrix.
@@ -293,6 +422,11 @@ class _Task:
         F = 0.5 * (_adjoint(low) @ U[:, None] + _adjoint(U)[:, None] @ low)
         F[:, -1] = -self.goals[:, None, None] * np.eye(U.shape[-1])
         yield _scaled(F, np.zeros_like(U))
+
+
+def _size(M: np.ndarray) -> np.ndarray:
+    """Spectral norms of matrices (..., k, l)."""
+    return np.abs(M[..., 0, 0]) if M.shape[-2:] == (1, 1) else np.linalg.norm(M, 2, axis=(-2, -1))
 
 
 def _peaks(size: np.ndarray) -> np.ndarray:

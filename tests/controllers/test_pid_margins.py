@@ -49,7 +49,7 @@ def test_models_in_other_units_are_not_designed_for_together(side):
 def test_the_margins_of_one_law_are_the_worst_of_all_its_models():
     """One is worse in one respect, the other in another; each peak is told with its frequency."""
     other = machine(slow=0.9, turned=tuple(1.6 * G for G in TURNED))
-    weak = machine(turned=tuple(0.5 * G for G in TURNED))
+    weak = machine(slow=0.97, turned=tuple(0.5 * G for G in TURNED))  # its poles are the slowest, its peaks are not
     design = design_pid(machine(), knots=1, bounds=BOUNDS, robust_to=(other, weak))
     each = [margins_of(design.law, model, design.margins.rho, BOUNDS, design.scale) for model in (machine(), other, weak)]
     worst = set()
