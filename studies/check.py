@@ -18,6 +18,8 @@ from controllers.pid_design import feedback_of, worst_margins
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import DEFAULT
 from studies.arguments import Chosen, choose_controller, choose_plant, numbers, run_folder
+from studies.trial import Trial, along
+from studies.trial import on_model as on_the_model
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -47,6 +49,7 @@ Say = Callable[[str], None]
 GRID = 25  # of the schedule at which |S| is looked at
 RUNS, STEPPED = 400, 40  # of the plant for each limit; of a law that is computed step by step
 MOTION = 1.1  # ratio of bounds at which the search of a certificate in motion ends
+FROZEN = ", frozen"  # what a claim says of a loop whose schedule stands still
 KNOWN = 0.01  # widths of the model's span by which a schedule may leave it
 SURE = 1e-3  # probability that a statement about sampling is wrong
 
@@ -86,8 +89,13 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
     records = [read(path) for path in options.records]
     folder = run_folder(options.out, "check")
     parts: list[tuple[str, Checked]] = []
-    if model is not None:
-        left = open_errors(model, records, options)
+    left = open_errors(model, records, options) if model is not None else None
+    if model is not None and isinstance(law, ScheduledPID):
+        check_law(model, law)
+    progress("one run of the loop")
+    trial = _tried(law, limits, model, chosen, options.limits)
+    say(f"LOST: {trial.sentence}" if trial.lost else trial.sentence)
+    if model is not None and left is not None:
         for line in _described(left.errors):
             say(line)
         own = on_model(left, law, limits, chosen, folder, options.nodes, options.rate, progress)
@@ -98,21 +106,21 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
         parts.append(("Not checked", Checked(tuple(loop), ())))
     if chosen is not None:
         parts.append(("On the simulated plant", on_plant(chosen, law, limits, options, folder, progress, controller.own)))
-    verdicts = [v for _, part in parts for v in part.verdicts]
+    verdicts = after_trial([v for _, part in parts for v in part.verdicts], trial)
     for verdict in verdicts:
         say(str(verdict))
     status = overall(verdicts)
     say(f"{status.value}: {counted(verdicts)}")
     files = [*controller.files, options.limits, *options.records, *([options.model] if options.model else []), *options.fitted]
     source = provenance(_configuration(options), [*files, *(chosen.files if chosen else ())], options.seed)
-    content = {"status": status.value, "verdicts": [v.to_dict() for v in verdicts], "provenance": source}
+    content = {"status": status.value, "verdicts": [v.to_dict() for v in verdicts], "trial": vars(trial), "provenance": source}
     for path in (folder / "check.json", options.json):
         if path:
             write_json(path, nullable(content))
     sections = [Section("Verdicts", (verdict_table(verdicts),))]
     sections += [Section(title, part.blocks) for title, part in parts if part.blocks]
     sections.append(Section("Provenance", (Provenance(source),)))
-    page = write_report(Report(f"Check of {law.name}", headline(law.name, status, verdicts), tuple(sections)), folder)
+    page = write_report(Report(f"Check of {law.name}", headline(law.name, status, verdicts, trial), tuple(sections)), folder)
     say(f"report: {page}")
     return 1 if status is Status.FAILED else 0
 
@@ -128,7 +136,34 @@ def counted(verdicts: Sequence[Verdict]) -> str:
     return ", ".join(f"{count} {status.value}" for status, count in number.items() if count)
 
 
-def headline(name: str, status: Status, verdicts: Sequence[Verdict]) -> str:
+def _tried(law: Any, limits: LoopLimits, model: LPVModel | None, chosen: Chosen | None, file: str) -> Trial:
+    """One run on the most truthful simulation at hand: of the plant, through what is asked; without one of the model."""
+    if chosen is None:
+        assert model is not None
+        return on_the_model(law, model)
+    if limits.run is None:
+        said = "no limits of signals are asked: nothing to try on the plant"
+        raise InputError(said, file=file, mend="give [run] and [limits.SIGNAL], or leave --plant out")
+    own = limits.run.scenario(chosen.plant, law)
+    references = np.column_stack([own.references[name] for name in law.references])
+    return along(law, chosen.plant, references, len(references) // 2, dict(own.start))
+
+
+def after_trial(verdicts: Sequence[Verdict], trial: Trial) -> list[Verdict]:
+    """The verdicts beside a run: one that was lost is a claim that failed, and a proof of frozen points says what it is."""
+    if not trial.lost:
+        return list(verdicts)
+    lost = Verdict("the loop holds along one run", trial.where, Status.FAILED, math.nan, "", trial.sentence)
+    told = [
+        replace(v, claim=f"{v.claim}{'' if FROZEN in v.claim else FROZEN}", sentence=f"{v.sentence}; {trial.sentence}")
+        if v.claim.startswith("stable") and v.status is not Status.FAILED
+        else v
+        for v in verdicts
+    ]
+    return [*told, lost]
+
+
+def headline(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial | None = None) -> str:
     """The verdict in one paragraph."""
     said = {
         Status.PROVED: f"PROVED: {name} keeps everything that was asked, whatever the records leave open of the model, while "
@@ -139,6 +174,7 @@ def headline(name: str, status: Status, verdicts: Sequence[Verdict]) -> str:
         Status.FAILED: f"FAILED: {name} does not keep what was asked; a stored run shows it.",
     }[status]
     worst = [v for v in verdicts if v.status is status]
+    said = f"LOST: {trial.sentence}. {said}" if trial and trial.lost else said
     return f"{said} {counted(verdicts)}.\n\n" + "\n\n".join(f"{v.claim} ({v.of}): {v.sentence}." for v in worst[:4])
 
 
@@ -218,7 +254,7 @@ def _stability(
     for rho in at:
         where = f" at {_told(model, rho)}" if rho is not None else ""
         progress(f"stability{where}")
-        claim = f"stable{where}" + f" in boxes {needed:g} times as wide" * (needed != 1.0)
+        claim = f"stable{where}" + FROZEN * bool(where) + f" in boxes {needed:g} times as wide" * (needed != 1.0)
         whole = driven(machine_with_errors(model, errors, rho), law, rho)
         loop = whole.undriven()
         # beyond the boxes themselves nothing is known of what the records leave open: there sequences within them refute

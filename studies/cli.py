@@ -193,7 +193,7 @@ def parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"
     )
-    sub.add_argument("--plant", metavar="PLANT", help=f"nmpc: {PLANT_HELP}")
+    sub.add_argument("--plant", metavar="PLANT", help=f"try the law on it, not on the model; nmpc predicts with it: {PLANT_HELP}")
     sub.add_argument(
         "--solver",
         default="real-time-iteration",

@@ -25,6 +25,10 @@ from controllers.scheduled_pid import Gains, ScheduledPID
 from controllers.tube import taken
 from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
+from studies.cli import DONE
+from studies.referee import handed_out
+from studies.trial import Trial, tried
+from studies.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.files import nullable, write_json, write_text
@@ -50,9 +54,6 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
     """Design the law that was asked for and write its files."""
     kind = check_known("controller", options.kind, KINDS)
     model = load_model(options.model)
-    say(_described(model))
-    if np.any(model.D):
-        say("note: its outputs see the command of their own sample, which held commands cannot do: identify --no-feedthrough")
     if kind != "mpc" and options.tube:
         raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
     if kind in ("mpc", "nmpc"):
@@ -62,11 +63,14 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
 
 def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
+    chosen = choose_plant(options.plant) if options.plant else None
     found = _tuned(options, kind, model, progress)
+    code, trial = _tried(options, found.law, model, chosen, say, progress)
     bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]
     folder = run_folder(options.out, "design")
-    path = save_controller(found.law, folder / f"{kind}.json")
-    write_text(folder / "gains.csv", gain_csv(found.law))
+    path = save_controller(found.law, folder / f"{kind}.json") if code == DONE else None
+    if path:
+        write_text(folder / "gains.csv", gain_csv(found.law))
     over = found.margins
     if kind == "pid" and model.schedule is not None:
         over = worst_margins(found.law, models, list(np.linspace(model.span[0], model.span[1], POINTS)), bounds, found.scale)
@@ -74,17 +78,35 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     _say_margins(found, over, model, say)
     _say_limits(found.law, model, say)
     _say_held(found.law, model, _setpoint(options.setpoint, model), say)
-    say(f"controller -> {path}")
-    say(f"gain table -> {folder / 'gains.csv'}, margins -> {folder / 'margins.csv'}")
+    if path:
+        say(f"controller -> {path}")
+        say(f"gain table -> {folder / 'gains.csv'}")
+    say(f"margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: found.law}, models, bounds, found.scale)
     title = f"{kind} on {model.name}"
-    page = Report(title, _worst_said(found, over, model), (Section("Design", pictures),))
+    page = Report(title, f"{ended(trial.sentence)} {ended(_worst_said(found, over, model))}", (Section("Design", pictures),))
     say(f"pictures -> {write_report(page, folder)}")
     result = {
         "kind": kind, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
-        "integral_action": {"reached": found.low_frequency, "alone": found.alone},
+        "integral_action": {"reached": found.low_frequency, "alone": found.alone}, "trial": vars(trial),
     }  # fmt: skip
-    return _finished(options, folder, path, result, [options.model, *options.robust_to], say)
+    read = [options.model, *options.robust_to, *(chosen.files if chosen else ())]
+    return _finished(options, folder, path, result, read, say) or code
+
+
+def _tried(
+    options: Namespace, law: Any, model: LPVModel, chosen: Chosen | None, say: Say, progress: Say
+) -> tuple[int, Trial]:  # fmt: skip
+    """Whether the law is handed out after one run, and what that said; before anything else is."""
+    progress("one run of the loop")
+    trial = tried(law, model, chosen.plant if chosen else None, _setpoint(options.setpoint, model))
+    code = handed_out([trial.sentence] if trial.lost else [], options.accept, say)
+    say(_described(model))
+    if np.any(model.D):
+        say("note: its outputs see the command of their own sample, which held commands cannot do: identify --no-feedthrough")
+    if not trial.lost:
+        say(trial.sentence)
+    return code, trial
 
 
 def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
@@ -106,15 +128,16 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         fallback = _tuned(options, "pid" if model.schedule is None else "scheduled-pid", model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
     common = {"horizon": options.horizon, "weights": default_weights(model, options.move), **limits}
-    if chosen:
+    if chosen and kind == "nmpc":
         solver = SOLVERS[check_known("solver", options.solver, SOLVERS)]()
         law = design_nmpc(chosen.plant, fallback, base=chosen.base, solver=solver, **common)
-        said, files = f"NMPC on the equation of {chosen.plant.name}, {options.solver}", chosen.files
+        said = f"NMPC on the equation of {chosen.plant.name}, {options.solver}"
     else:
         law = design_mpc(model, fallback, errors=errors, **common)
-        said, files = f"MPC, disturbances at the {'inputs' if law.observer.at_inputs else 'outputs'}", ()
+        said = f"MPC, disturbances at the {'inputs' if law.observer.at_inputs else 'outputs'}"
+    code, trial = _tried(options, law, model, chosen, say, progress)
     folder = run_folder(options.out, "design")
-    path = save_controller(law, folder / f"{kind}.json")
+    path = save_controller(law, folder / f"{kind}.json") if code == DONE else None
     say(f"{said}, over {law.horizon} samples ({law.horizon * law.dt:g} s)")
     for channel, a, b in zip(model.outputs, law.y_low, law.y_high, strict=True):
         if np.isfinite(a) or np.isfinite(b):
@@ -122,9 +145,12 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     _say_limits(law, model, say)
     tube = _say_tube(law, model, say) if isinstance(law, MPC) and law.tube is not None else {}
     say("no margins are computed for a law that plans: try it with simulate --setpoint, and on a plant with --effect")
-    say(f"controller -> {path}")
-    read = [options.model, *options.robust_to, *([options.fallback] if options.fallback else []), *files, *options.records]
-    return _finished(options, folder, path, {"kind": kind, "weights": vars(law.weights)} | tube, read, say)
+    if path:
+        say(f"controller -> {path}")
+    files = [*([options.fallback] if options.fallback else []), *(chosen.files if chosen else ()), *options.records]
+    read = [options.model, *options.robust_to, *files]
+    result = {"kind": kind, "weights": vars(law.weights), "trial": vars(trial)} | tube
+    return _finished(options, folder, path, result, read, say) or code
 
 
 def _errors_of(options: Namespace, model: LPVModel, progress: Say) -> tuple[IntervalModel, ...] | None:
@@ -157,19 +183,18 @@ def _say_tube(law: MPC, model: LPVModel, say: Say) -> dict[str, Any]:
 
 
 def _plant_of(options: Namespace, kind: str) -> Chosen | None:
-    """The plant that a nonlinear MPC predicts with."""
+    """The plant that the law is tried on, and that a nonlinear MPC predicts with."""
     if kind == "nmpc" and not options.plant:
         raise InputError("which plant does it predict with?", mend="give --plant web-winding, or a plant of your own")
-    if kind != "nmpc" and options.plant:
-        raise InputError("--plant is for nmpc", mend="an mpc predicts with its --model")
     return choose_plant(options.plant) if options.plant else None
 
 
-def _finished(options: Namespace, folder: Path, path: Path, result: dict, files: list[str], say: Say) -> int:
-    say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
-    say(f"      workbench check --controller {path} --limits limits.toml --model {options.model} --records ..")
+def _finished(options: Namespace, folder: Path, path: Path | None, result: dict, files: list[str], say: Say) -> int:
+    if path:
+        say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
+        say(f"      workbench check --controller {path} --limits limits.toml --model {options.model} --records ..")
     configuration = {key: value for key, value in vars(options).items() if key != "json"}
-    whole = {"controller": str(path)} | result | {"provenance": provenance(configuration, files)}
+    whole = {"controller": str(path) if path else None} | result | {"provenance": provenance(configuration, files)}
     write_json(folder / "design.json", nullable(whole))
     if options.json:
         write_json(options.json, nullable(whole))

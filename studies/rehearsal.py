@@ -3,7 +3,8 @@
     x+ = A(rho) x + B(rho) (u - u0) + K(rho) e,     y = C(rho) x + y0 + e,     e white with the model's own covariance
     cost = mean over outputs and samples of ((r - y) / size)^2,   size: the output's largest set-point step
 
-The model moves along a given schedule; u is what the law commands of r and y, its limits included.
+The model moves along a given schedule, or along its own output where that is the schedule; u is what the law commands of r and y,
+its limits included.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,13 +25,17 @@ NO_WORSE = 1.01  # ratio of costs up to which a calmer candidate is taken
 
 @record
 class Rehearsal:
-    """Set-points (N, ny) in the model's units along a schedule (N,), noise e (N, ny), and what counts as 1 in each output."""
+    """Set-points (N, ny) in the model's units along a schedule (N,), noise e (N, ny), and what counts as 1 in each output.
+
+    follows: the output that the schedule is; then of `rho` only the first value counts, where the run begins.
+    """
 
     model: LPVModel
     references: np.ndarray = field("N ny")
     rho: np.ndarray = field("N")
     e: np.ndarray = field("N ny")
     size: np.ndarray = field("ny")
+    follows: int | None = None
 
     def run(self, law: Any) -> tuple[np.ndarray, np.ndarray]:
         """Commands (N, nu) and measured outputs (N, ny) under the law, from rest at the first set-point; in the model's order.
@@ -50,10 +55,19 @@ class Rehearsal:
         held[at_u] = np.linalg.pinv((C @ reached)[np.ix_(at_y, at_u)]) @ (self.references[0] - y0[0])[at_y]
         x, commands, y = reached @ held, u0 + held * np.isin(np.arange(len(held)), at_u), np.empty_like(self.references)
         state = law.init(commands[0, at_u])
+        schedule, longest = self.rho.copy(), max(term.delay for term in model.terms)
         for k, r in enumerate(self.references):
-            A, B, C, K_k = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, model.C, K))
-            y[k] = C @ x + y0[k] + self.e[k]
-            rho = self.rho[k] if law.schedule else None
+            if self.follows is not None and k > 0:  # until it is known what y is, the schedule is what it was
+                schedule[k] = schedule[k - 1]
+                u0[k], y0[k], weights[k] = u0[k - 1], y0[k - 1], weights[k - 1]
+            y[k] = np.tensordot(weights[k], model.C, 1) @ x + y0[k] + self.e[k]
+            if self.follows is not None and k > 0 and np.isfinite(y[k]).all():
+                schedule[k] = np.clip(y[k, self.follows], *model.span)
+                now = point.basis(schedule[k])
+                u0[k], y0[k] = now @ point.u, now @ point.y
+                weights[k] = model.weights(schedule[max(0, k - longest) : k + 1])[-1]
+            A, B, K_k = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, K))
+            rho = schedule[k] if law.schedule else None
             commands[k, at_u], state = stepped(law, state, r[at_y][: len(law.references)], y[k, at_y], rho)
             x = A @ x + B @ (commands[k] - u0[k]) + K_k @ self.e[k]
         return commands, y

@@ -200,7 +200,6 @@ def test_nonlinear_mpc_is_designed_and_runs(folder, tmp_path, capsys):
     ("options", "message"),
     [
         (["nmpc"], "which plant does it predict with"),
-        (["mpc", "--plant", "web-winding"], "--plant is for nmpc"),
         (["nmpc", "--plant", "welding-robot"], "unknown output 'w3'"),
         (["nmpc", "--plant", "web-winding", "--solver", "simplex"], "unknown solver 'simplex'"),
         (["nmpc", "--plant", "web-winding", "--horizon", "0"], "horizon 0"),

@@ -1,0 +1,189 @@
+"""One run of a law on the most truthful simulation at hand: frozen margins do not say that a loop holds its machine.
+
+Every set-point steps over its range and back, without noise: on the plant where there is one, else on the identified model, whose
+schedule follows the output that it is, or goes once along its span. The run is lost where it leaves the plant's range, or any,
+or where it stays away from a set-point by more than half of the step.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from controllers.pid_design import FrozenPoint
+from controllers.scheduled_pid import ScheduledPID
+from studies.rehearsal import Rehearsal
+from workbench.lpv import LPVModel
+from workbench.physics.plant import Plant
+from workbench.records import record
+from workbench.simulate import LeftRangeError, Scenario, simulate
+
+POINTS = 5  # schedule values at which loops are asked how slow they are
+SETTLED = 5.0  # time constants of the slowest pole that a set-point is held
+SHORTEST, LONGEST = 50, 3000  # samples that it is held at least, at most
+PLANNED = 300  # samples at most that a law that plans at every one is given
+SHARES = (1.0, 0.1, 0.01)  # of a step on a plant whose range nobody knows: its loop is lost if it is at all of them
+SHARE = 0.5  # of the room that limits leave, for a step; of a step, from where on an error is lost
+ALONG = 1000  # samples at least along a schedule that moves on its own
+EDGE = 0.1  # of a schedule's span that steps stay within
+FAR = 1e3  # steps, beyond which a run on a linear model is lost
+SAME = 0.1  # of the span within which an output of the operating point is the schedule
+
+
+@record
+class Trial:
+    """What one run said: where it ran, and why it was lost, "" where it was not."""
+
+    where: str
+    lost: str
+    sentence: str
+
+
+def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None) -> Trial:
+    """The law on the model it was designed for, from rest at the usual set-point."""
+    if np.any(model.D):
+        why = "its outputs see the command of their own sample, which held commands cannot do"
+        return Trial(f"the model {model.name}", "", f"not tried on the model {model.name}: {why}")
+    follows = followed(model)
+    low, high = model.span[0], model.span[1]
+    first = low + EDGE * (high - low) if follows is not None else low
+    phi = model.operating_point.basis(np.array(first))
+    rest = np.array(phi @ model.operating_point.y if setpoint is None else setpoint, dtype=float)
+    step = _steps(law, model, rest)
+    if follows is not None:
+        rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
+    references, settling = _path(rest, step, _settling(law, model)), _settling(law, model)
+    N = len(references)
+    if model.schedule is not None and follows is None and N < ALONG:
+        references, N = np.repeat(references, -(-ALONG // N), axis=0), N * -(-ALONG // N)
+    rho = np.full(N, first) if follows is not None or model.schedule is None else np.linspace(low, high, N)
+    run = Rehearsal(model, references, rho, np.zeros_like(references), np.ones(len(rest)), follows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        _, y = run.run(law)
+    names = [c.name for c in model.outputs]
+    own = [names.index(name) for name in law.measured[: len(law.references)]]
+    how = "" if model.schedule is None else f", {model.schedule.name} {_moves(model, follows)}"
+    where = f"the model {model.name}{how}"
+    size = np.maximum(np.abs(references - references[0]).max(axis=0), 1e-300)
+    away = np.abs(y - references) / size
+    if (gone := ~(np.isfinite(away) & (away < FAR))[:, own].all(axis=1)).any():
+        return _lost(where, f"it runs away {model.dt * int(gone.argmax()):.4g} s after its start")
+    units = [model.outputs[i].unit for i in own]
+    return _judged(where, law, references[:, own], y[:, own], units, model.dt, settling)
+
+
+def on_plant(law: Any, plant: Plant, model: LPVModel) -> Trial:
+    """The law on a plant, from the plant's own rest; a schedule that is an output is stepped over the law's span."""
+    names = [c.name for c in model.outputs]
+    own = [names.index(name) for name in law.measured[: len(law.references)]]
+    begun = simulate(plant, law, _scenario(law, np.zeros((2, len(own)))), bumpless=True, cut=True).experiment
+    rest = np.array([begun[name][0] for name in law.measured[: len(law.references)]])
+    step = _steps(law, model, model.operating_point.basis(np.array(model.span.mean())) @ model.operating_point.y)[own]
+    if law.schedule in law.measured[: len(law.references)]:
+        j, (low, high) = law.measured.index(law.schedule), law.span
+        ends = low + EDGE * (high - low), high - EDGE * (high - low)
+        step[j] = max(ends, key=lambda end: abs(end - rest[j])) - rest[j]
+    settling, every = _settling(law, model), max(1, round(law.dt / plant.dt))
+    known = law.schedule in law.measured[: len(law.references)]
+    for share in (1.0,) if known else SHARES:
+        path = np.repeat(_path(rest, share * step, settling), every, axis=0)
+        if not (trial := along(law, plant, path, settling * every)).lost:
+            break
+    return trial
+
+
+def tried(law: Any, model: LPVModel, plant: Plant | None, setpoint: Sequence[float] | None = None) -> Trial:
+    """On the plant where there is one, else on the model."""
+    return on_model(law, model, setpoint) if plant is None else on_plant(law, plant, model)
+
+
+def along(law: Any, plant: Plant, references: np.ndarray, settling: int, start: dict[str, float] | None = None) -> Trial:
+    """The law on a plant along set-points (N, nr), a row for each sample of the plant; settling: samples that a step may take."""
+    where = f"the plant {plant.name}"
+    try:
+        run = simulate(plant, law, _scenario(law, references, start), bumpless=True).experiment
+    except LeftRangeError as reason:
+        return _lost(where, f"{reason.channel or 'it'} leaves its range: {reason.problem}")
+    measured = law.measured[: len(law.references)]
+    units = [next(c.unit for c in plant.outputs if c.name == name) for name in measured]
+    return _judged(where, law, references, np.column_stack([run[name] for name in measured]), units, plant.dt, settling)
+
+
+def followed(model: LPVModel) -> int | None:
+    """Which output the schedule is: by its name, or because it is that in every operating point; None where it is none."""
+    if model.schedule is None:
+        return None
+    names = [c.name for c in model.outputs]
+    if model.schedule.name in names:
+        return names.index(model.schedule.name)
+    rho = np.linspace(model.span[0], model.span[1], POINTS)
+    off = np.abs(model.operating_point.basis(rho) @ model.operating_point.y - rho[:, None]).max(axis=0)
+    j = int(off.argmin())
+    return j if off[j] <= SAME * np.ptp(model.span) else None
+
+
+def _moves(model: LPVModel, follows: int | None) -> str:
+    return "going once along its span" if follows is None else f"following {model.outputs[follows].name}"
+
+
+def _scenario(law: Any, references: np.ndarray, start: dict[str, float] | None = None) -> Scenario:
+    return Scenario("trial", dict(zip(law.references, references.T, strict=True)), None, start or {})
+
+
+def _path(rest: np.ndarray, step: np.ndarray, hold: int) -> np.ndarray:
+    """Set-points (N, ny): at rest, then each output in turn a step away and back, held for so many samples each time."""
+    moved = [rest]
+    for j in range(len(rest)):
+        moved += [np.where(np.arange(len(rest)) == j, rest + step, rest), rest]
+    return np.repeat(np.array(moved), hold, axis=0)
+
+
+def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
+    """For each output a step that the limits of commands leave room for in the middle; without limits what unit inputs move."""
+    middle = float(model.span.mean()) if model.schedule else None
+    A, B, C, D = model.freeze(middle)
+    gain = C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
+    phi, point = model.operating_point.basis(np.array(middle or 0.0)), model.operating_point
+    need = np.linalg.pinv(gain)
+    u = phi @ point.u + need @ (rest - phi @ point.y)
+    acts = [[c.name for c in model.inputs].index(name) for name in law.actuated]
+    none = np.full(len(acts), np.inf)
+    room = np.minimum(u[acts] - getattr(law, "low", -none), getattr(law, "high", none) - u[acts])
+    reach = np.min(np.maximum(room, 0.0)[:, None] / np.maximum(np.abs(need[acts]), 1e-300), axis=0)
+    free = np.linalg.norm(gain, axis=1)
+    return np.where(np.isfinite(reach) & (reach > 0.0), np.minimum(SHARE * reach, free), free)
+
+
+def _settling(law: Any, model: LPVModel) -> int:
+    """Samples in which the slowest frozen loop settles."""
+    planned = not isinstance(law, ScheduledPID)
+    pid, slowest = getattr(law, "fallback", law), 0.0
+    if isinstance(pid, ScheduledPID):
+        for rho in np.linspace(model.span[0], model.span[1], POINTS) if model.schedule else [None]:
+            own = FrozenPoint(None, model.dt, *model.freeze(rho), np.ones(len(model.outputs)))
+            slowest = max(slowest, float(np.abs(own.poles(*pid.gains_at(rho)[:3], pid.Tf)).max()))
+    samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
+    return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST))
+
+
+def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[str], dt: float, settling: int) -> Trial:
+    """Whether outputs (N ny) end near set-points (N ny) that have stood for as long as the loop takes to settle."""
+    size = np.abs(r - y[0]).max(axis=0)
+    changes = np.flatnonzero(np.any(np.diff(r, axis=0) != 0.0, axis=1)) + 1
+    ends = [int(k) for k, begun in zip((*changes, len(r)), (0, *changes), strict=True) if k - begun >= settling]
+    worst = np.zeros(len(size))
+    for end in ends:
+        last = slice(end - max(1, settling // 5), end)
+        off = np.sqrt(np.mean((r[last] - y[last]) ** 2, axis=0))
+        worst = np.maximum(worst, off)
+        for name, unit, error, step in zip(law.measured, units, off, size, strict=False):
+            if step > 0.0 and error > SHARE * step:
+                away = f"{name} stays {error:.3g} {unit}".rstrip() + f" away from its set-point until {dt * end:.4g} s"
+                return _lost(where, f"{away}, after a step of {step:.3g} {unit}".rstrip())
+    steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() for name, unit, step in zip(law.measured, units, size, strict=False))
+    said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
+    return Trial(where, "", said)
+
+
+def _lost(where: str, why: str) -> Trial:
+    return Trial(where, why, f"the loop is lost on {where}: {why}")

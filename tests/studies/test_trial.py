@@ -1,0 +1,151 @@
+"""One run behind every law: a loop that is lost is said first and not handed out, and no proof stands beside it unexplained."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from controllers.files import load_controller, save_controller
+from controllers.pid import pid
+from controllers.pid_design import design_pid
+from studies.cli import main
+from studies.trial import along, followed, on_model, on_plant
+from tests.controllers.test_pid_design import machine
+from workbench.data import Channel
+from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model
+from workbench.physics.plant import Plant, Start
+
+DT, WEIGHT, GAIN, DAMPING, LAG = 0.02, 20.0, 40.0, 1.5, 0.1
+DEG = np.pi / 180.0
+
+
+def equation(x, u, p, at):
+    """theta'' = GAIN f - WEIGHT sin(theta) - DAMPING theta', the propeller's push f lags behind its command."""
+    push = GAIN * x.f - WEIGHT * np.sin(x.theta * DEG) - DAMPING * x.rate * DEG
+    return {"theta": x.rate, "rate": push / DEG, "f": (u.v - x.f) / LAG}
+
+
+ARM = Plant(
+    name="arm",
+    states=(Channel("theta", "deg"), Channel("rate", "deg/s"), Channel("f", "")),
+    inputs=(Channel("v", "V", "input"),),
+    outputs=(Channel("theta", "deg", "output"),),
+    parameters=(),
+    equation=equation,
+    measure=lambda x, p: {"theta": x.theta},
+    dt=DT,
+    start=Start({"theta": 20.0}, ("rate", "f", "v"), ("theta", "rate", "f")),
+    limits={"theta": (-90.0, 180.0)},
+)
+
+
+def arm_model() -> LPVModel:
+    """The arm's linearisations from 5 to 70 deg, scheduled on its own angle, with the command that holds each."""
+    knots = np.linspace(5.0, 70.0, 14)
+    A, B = [], []
+    for theta in knots:
+        own = [[0.0, 1.0, 0.0], [-WEIGHT * np.cos(theta * DEG), -DAMPING, GAIN / DEG], [0.0, 0.0, -1.0 / LAG]]
+        whole = expm(np.block([[np.array(own), np.array([[0.0], [0.0], [1.0 / LAG]])], [np.zeros((1, 4))]]) * DT)
+        A, B = [*A, whole[:3, :3]], [*B, whole[:3, 3:]]
+    basis, m = PiecewiseLinear(tuple(knots)), len(knots)
+    point = OperatingPoint(basis, u=(WEIGHT / GAIN * np.sin(knots * DEG))[:, None], y=knots[:, None])
+    return LPVModel(
+        "arm-model", DT, (Channel("v", "V", "input"),), (Channel("theta", "deg", "output"),), Channel("theta", "deg", "schedule"),
+        np.array([5.0, 70.0]), basis, tuple(Term(j) for j in range(m)), np.array(A), np.array(B),
+        np.tile([[[1.0, 0.0, 0.0]]], (m, 1, 1)), np.zeros((m, 1, 1)), point,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A folder with the arm's model, and the law that is made for it."""
+    folder = tmp_path_factory.mktemp("arm")
+    arm_model().save(folder / "m.json")
+    return folder, design_pid(arm_model(), knots=3)
+
+
+def test_an_arm_with_fine_margins_is_lost(arm):
+    """Its feed-forward over a schedule that is its output is feedback: every frozen |S| is kept, and the arm is not."""
+    _, found = arm
+    assert found.margins.sensitivity.max() <= 1.6
+    lost = on_plant(found.law, ARM, arm_model())
+    assert lost.lost
+    assert lost.sentence.startswith("the loop is lost on the plant arm: ")
+    # with the same gains and the feed-forward of one angle nothing feeds back but the gains
+    still = replace(
+        found.law, u0=np.broadcast_to(found.law.gains_at(20.0).u0, found.law.u0.shape), Kr=np.zeros_like(found.law.Kr)
+    )
+    assert not along(still, ARM, np.repeat([[20.0], [22.0]], 1000, axis=0), 800).lost
+
+
+def test_the_model_itself_loses_it_where_its_schedule_is_its_output(arm):
+    _, found = arm
+    assert followed(arm_model()) == 0
+    assert on_model(found.law, arm_model()).lost
+
+
+def test_design_hands_it_out_only_if_it_is_accepted(arm, capsys):
+    folder, _ = arm
+    words = ["design", "scheduled-pid", "--knots", "3", "--model", str(folder / "m.json")]
+    assert main([*words, "--out", str(folder / "kept")]) == 3
+    said = capsys.readouterr().out
+    assert said.splitlines()[0].startswith("NOT HANDED OUT: the loop is lost on the model arm-model")
+    assert not (folder / "kept" / "scheduled-pid.json").exists()
+    assert json.loads((folder / "kept" / "design.json").read_text())["trial"]["lost"]
+    assert main([*words, "--accept", "--out", str(folder / "taken")]) == 0
+    assert capsys.readouterr().out.startswith("ACCEPTED ALL THE SAME: the loop is lost")
+    assert load_controller(folder / "taken" / "scheduled-pid.json").schedule == "theta"
+
+
+def test_check_says_that_the_plant_loses_what_is_proved_of_frozen_points(arm, capsys, monkeypatch):
+    folder, found = arm
+    save_controller(found.law, folder / "law.json")
+    (folder / "limits.toml").write_text(
+        "[run]\nduration = 30.0\n[run.setpoints]\ntheta = [[0.0, 20.0], [5.0, 60.0]]\n[limits.v]\nlow = -1e9\n"
+    )
+    monkeypatch.setitem(sys.modules, "arm_of_test", sys.modules[__name__])
+    words = ["check", "--controller", str(folder / "law.json"), "--limits", str(folder / "limits.toml"), "--runs", "5"]
+    assert main([*words, "--plant", "arm_of_test:ARM", "--out", str(folder / "checked")]) == 1
+    assert capsys.readouterr().out.splitlines()[0].startswith("LOST: the loop is lost on the plant arm")
+    content = json.loads((folder / "checked" / "check.json").read_text())
+    assert content["status"] == "FAILED"
+    assert content["verdicts"][-1]["claim"] == "the loop holds along one run"
+
+
+def lag(pole=0.9) -> LPVModel:
+    channels = (Channel("u", "V", "input"),), (Channel("y", "m", "output"),)
+    return constant_model(
+        "lag", 0.1, channels, ([[pole]], [[1.0]], [[1.0 - pole]], [[0.0]]), OperatingPoint(CONSTANT, [[0.5]], [[2.0]])
+    )
+
+
+@pytest.mark.parametrize(("Ki", "lost"), [(0.5, ""), (-0.5, "runs away"), (60.0, "runs away")])
+def test_a_loop_is_lost_if_theory_says_so(Ki, lost):
+    law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[Ki]], u0=np.array([0.5]))
+    found = on_model(law, lag())
+    assert lost in found.lost
+    assert bool(found.lost) == bool(lost)
+
+
+def test_a_command_that_cannot_reach_far_steps_less():
+    """Limits leave 0.1 V: the step is half of what that holds, and not lost."""
+    law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[0.5]], u0=np.array([0.5]), low=np.array([0.4]), high=np.array([0.6]))
+    found = on_model(law, lag())
+    assert not found.lost
+    assert "steps of y 0.05 m" in found.sentence
+
+
+def test_a_limit_cycle_at_the_stops_is_lost():
+    law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[60.0]], u0=np.array([0.5]), low=np.array([-9.0]), high=np.array([10.0]))
+    assert "away from its set-point" in on_model(law, lag()).lost
+
+
+def test_every_designed_law_of_a_sound_machine_is_handed_out():
+    """The schedule of this machine is no output, and goes once along its span."""
+    assert followed(machine()) is None
+    trial = on_model(design_pid(machine(), knots=1).law, machine())
+    assert not trial.lost
+    assert "r2 going once along its span" in trial.sentence
