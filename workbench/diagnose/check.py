@@ -46,6 +46,7 @@ TENS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)  # factors of a size for which no
 APART = 6.0  # units closer to each other than this factor are not told by size
 ALIKE = 0.9  # correlation above which two channels follow one course
 UNLIKE = 0.3  # and below which one does not explain the other
+RELATED = 0.05  # share of an output that its inputs explain somehow, above which it is theirs
 LEAVES = 0.1  # share of the record that a free run must last to be compared with
 WORST = 2.0  # what one output adds to the distance of a run at most
 SLOW = 40  # moving averages over a record: its length by this number
@@ -612,12 +613,40 @@ def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner, sli
             alone = len(plant.commanded) == len(own.channels) == 1  # whatever moves the only output does it alone
             either = [slip, _reversed(own.channels)] if alone else [slip]
             raise _slipped(e.name, [Guess((one,), 0.0) for one in either])
-    raise InputError(
+    said = (
         f"{plant.name}, driven by the logged inputs, follows none of {names} (correlation at most {max(own.follows, within):.2f},"
-        f" over the whole record and within short windows); {runner.told_until(e.t)}",
+        f" over the whole record and within short windows); {runner.told_until(e.t)}"
+    )
+    u = e[[name for name in _driving(plant, e) if np.ptp(e[name]) > 0.0]]
+    if max(_related(u, e[own.channels[i].name]) for i in own.counted) > RELATED:
+        yield Note(own.file, names, f"{said}; but it moves with {inputs}: another machine, or one of which the plant lacks much")
+        return
+    raise InputError(
+        said,
         file=own.file,
         mend="is it a record of this machine, and are the channels in their places?",
     )
+
+
+def _related(u: np.ndarray, y: np.ndarray) -> float:
+    """Share of y (N,) that moving averages of inputs u (N, nu), and their products, explain of the half they are not fitted to.
+
+    A sensor without a sign, or a thrust of u^2, is even in what drives it.
+    """
+    total = np.vstack([np.zeros(u.shape[1]), np.cumsum((u - u.mean(axis=0)) / u.std(axis=0), axis=0)])
+    k = np.arange(1, len(u) + 1)
+    lengths = [2**i for i in range(12) if 2**i <= len(u) // 8]
+    means = np.hstack([(total[k] - total[np.maximum(k - n, 0)]) / np.sqrt(n) for n in lengths])
+    pairs = [means[:, i] * means[:, j] for i in range(means.shape[1]) for j in range(i, means.shape[1])]
+    Psi = np.column_stack([np.ones(len(u)), means, *pairs])
+    half, shares = len(u) // 2, []
+    for own, other in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
+        spread = np.std(y[own]) or 1.0
+        ridge = np.sqrt(len(Psi)) * 0.1 * np.eye(Psi.shape[1])
+        aim = np.concatenate([(y[own] - y[own].mean()) / spread, np.zeros(Psi.shape[1])])
+        predicted = spread * Psi[other] @ np.linalg.lstsq(np.vstack([Psi[own], ridge]), aim, rcond=None)[0]
+        shares.append(np.sign(c := likeness(y[other], predicted).correlation) * c**2)
+    return float(min(shares))
 
 
 def _peaks(plant: Plant, e: Experiment) -> Iterator[Trial]:

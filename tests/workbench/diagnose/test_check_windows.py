@@ -122,3 +122,10 @@ def test_a_plant_that_nothing_commands_is_checked_by_its_logged_inputs():
     still = wheel(6)
     with pytest.raises(InputError, match="no input moves"):
         check(moved, Dataset((replace(still, values=still.values * [0.0, 1.0]),)))
+
+
+def test_a_sensor_without_a_sign_is_no_other_machine():
+    """The wheel turns both ways and its pulses are counted: even in the torque, so no simulation follows it."""
+    e = wheel(7, start=0.0, load=0.0, count=4000)
+    counted = replace(e, values=np.column_stack([e["u"], np.abs(e["w"])]))
+    check(WHEEL, Dataset((counted,)))
