@@ -550,7 +550,7 @@ def _output_slips(own: Compared) -> Iterator[Slip]:
 def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) -> None:
     """A measured state that is outside what the plant's equation is for at half of the samples or more."""
     for channel in channels:
-        low, high = plant.limits.get(channel.name, (-np.inf, np.inf))
+        low, high = plant.read_limits.get(channel.name, (-np.inf, np.inf))
         middle = float(np.median(e[channel.name]))
         if low <= middle <= high:
             continue

@@ -24,6 +24,7 @@ from workbench.diagnose.answer import (
 from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
+from workbench.diagnose.fit import gauss_newton
 from workbench.diagnose.free_run import simulated
 from workbench.diagnose.gains import ahead
 from workbench.diagnose.lags import timed
@@ -111,7 +112,8 @@ def diagnose(
     notes = [str(note) for note in check(plant, dataset, anyway=anyway)]
     judge = Judge(held_out or dataset, held_out is not None)
     progress("recalibrating")
-    base = _recalibrated(plant, dataset, drift, threads)
+    given = as_given(plant, dataset, drift=drift, threads=threads)
+    base = _no_worse(given, _recalibrated(plant, dataset, drift, threads))
     if not np.isfinite(base.deviance):
         raise InputError(
             "the simulation leaves every range along these records, however it is corrected",
@@ -140,9 +142,10 @@ def diagnose(
     causes = tuple(_cause(plant, s, model, judge.gained(s.before, s.after)) for s in steps)
     rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
+    finding, beyond = _with_rounding(found, [c.place for c in rounds]), _beyond(base, model)
     return Diagnosis(
         plant=plant.name,
-        finding=_with_rounding(found, [c.place for c in rounds]),
+        finding=Finding.INCOMPLETE if finding is Finding.NAMED and any(beyond.values()) else finding,
         causes=(*causes, *rounds),
         recalibrated=_parameters(model),
         untestable=_untestable(base, tested),
@@ -160,7 +163,7 @@ def diagnose(
             *_exchanged(steps),
             *(f"the plant keeps its own parameters: {objection}" for objection in objections if kept),
         ),
-        signs=tuple(_beyond(model)),
+        signs=tuple(beyond),
         objections=() if kept else objections,
         seconds=time.perf_counter() - began,
     )
@@ -221,6 +224,16 @@ class _Found:
 def _recalibrated(plant: Plant, dataset: Dataset, drift: bool, threads: int) -> Model:
     made = recalibrated(predictor(plant, dataset, drift=drift, threads=threads), rounds=1)
     return settled(Model(made.predictor, made.fit), np.zeros(len(plant.slots)))
+
+
+def _no_worse(given: Model, base: Model) -> Model:
+    """The recalibrated model; begun again from the plant as it came where it is less likely: its noise levels sit elsewhere."""
+    if base.posterior <= given.posterior:
+        return base
+    own, nothing = base.fit.unknowns, np.zeros(len(base.predictor.plant.slots))
+    z = own.vector(given.fit.point, [])
+    again = settled(Model(given.predictor, gauss_newton(given.predictor, own, z, nothing)), nothing)
+    return min((base, again), key=lambda m: m.posterior)
 
 
 def _forgiven(judge: Judge, found: _Found) -> bool:
@@ -518,6 +531,8 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
     found = judge.between(step.before, step.after)
     if step.gain < strongest:
         return "would explain part of it, but more is left beside it than it explains"
+    if all(e.low <= 0.0 <= e.high for name, e in _sizes(step.after, step.key).items() if name not in _shapes(step)):
+        return "would explain these records at a size that they do not tell from none"
     ahead_of = any(c.sure and c.share > 0.0 for c in found if c.horizon == "one-second")
     if not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0:
         return "would explain these records, but predicts the held-out ones no better: something else is behind it"
@@ -617,6 +632,11 @@ def _pruned(base: Model, steps: list[Step], lesser: _Lesser) -> list[Step]:
     return [replace(steps[0], before=base, after=model, gain=base.bic - model.bic, stable=stability(model, steps[0].key))]
 
 
+def _shapes(step: Step) -> set[str]:
+    slots = step.after.predictor.plant.slots
+    return {slot.parameter.name for slot in slots if slot.key == step.key and slot.parameter.shape}
+
+
 def _with_rounding(found: _Found, channels: Sequence[str]) -> Finding:
     """The finding where `channels` are rounded: what is left in their readings only has its name."""
     left = {x.channel for x in found.left if x.p_family < ALPHA}
@@ -703,18 +723,19 @@ def _next(steps: Sequence[Step], templates: Sequence[Template]) -> NextExperimen
     return None
 
 
-def _beyond(model: Model) -> list[str]:
-    """A sentence for every parameter that had to leave its tolerance: beside a named cause a sign of another missing piece."""
+def _beyond(base: Model, model: Model) -> dict[str, bool]:
+    """A sentence for every parameter that left its tolerance, and whether a named cause pulled it: it was inside before."""
     unknowns, plant = model.fit.unknowns, model.predictor.plant
-    sign = ": a sign of another missing piece" if model.keys else ""
-    said = []
+    said = {}
     for j, i in enumerate(unknowns.parameters):
         q, now = plant.parameters[i], float(model.fit.point.p[i])
         if abs(model.fit.z[j]) > 1.5 * np.sqrt(3.0):
-            said.append(
+            pulled = bool(model.keys) and abs(base.fit.z[j]) < np.sqrt(3.0)
+            sign = ": a sign of another missing piece" if pulled else ""
+            said[
                 f"{q.name} ({q.meaning or 'parameter'}) is {now:.4g} {q.unit}, {100 * (now / q.value - 1):+.0f} % off the data "
                 f"sheet, which leaves {100 * q.tolerance:.0f} % open{sign}"
-            )
+            ] = pulled
     return said
 
 

@@ -173,10 +173,11 @@ def _over(scene: _Scene, added: np.ndarray) -> tuple[Channel, np.ndarray]:
             return plant.inputs[i], scene.predictor.records[0].u[:, i]
         turned = course.angle[:, list(plant.turning).index(scene.place)]
         return Channel(f"angle of {scene.place}", "rad"), np.mod(turned, 2 * np.pi)
+    tensions = {q.place: q.tension for q in plant.ports if hasattr(q, "tension")}
     if domain is Domain.SPEED and scene.place in plant.turning:
         j = plant.state_names.index(plant.turning[scene.place])
-    elif domain is Domain.TENSION and scene.place in plant.state_names:
-        j = plant.state_names.index(scene.place)
+    elif domain is Domain.TENSION and scene.place in tensions:
+        j = plant.state_names.index(tensions[scene.place])
     else:  # a load is no state: the one that goes with it stands for it
         j = int(np.argmax([abs(_correlation(added, course.x[:, j])) for j in range(len(plant.states))]))
     return plant.states[j], course.x[:, j]

@@ -440,7 +440,7 @@ def _entries(plant: Plant) -> tuple[str, ...]:
     if plant.process:
         return tuple(plant.process)
     named = [port.speed for port in plant.ports if hasattr(port, "speed")]
-    named += [port.place for port in plant.ports if port.place in plant.state_names]
+    named += [port.tension for port in plant.ports if hasattr(port, "tension")]
     if not named:
         x, u = plant.equilibrium()
         moved = np.abs(plant.linearize(x, u)[1]).sum(axis=1) > 0.0

@@ -49,8 +49,8 @@ class Runner:
         plant = plant.sampled(e.dt, file=e.name)
         u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
         y = np.column_stack([e[name] if name in e.names else np.full(len(e), np.nan) for name in plant.output_names])
-        limited = {name: e[name][0] for name in plant.output_names if name in e.names and name in plant.limits}
-        inside = {name: float(value) for name, value in limited.items() if plant.limits[name][0] < value < plant.limits[name][1]}
+        limited = {name: (float(e[name][0]), *limits) for name, limits in plant.read_limits.items() if name in e.names}
+        inside = {name: value for name, (value, low, high) in limited.items() if low < value < high}
         x, hold = plant.equilibria(plant.nominal[None], **inside)
         substeps = int(stepper.substeps_for(plant, plant.nominal[None], plant.effect_vector()[None], x, hold).max())
         first = cls(plant, u, y, x[0], np.where(x[0] == 0.0, 1.0, 0.3 * np.abs(x[0])), substeps)

@@ -229,6 +229,12 @@ class Plant:
         return np.array([p.value for p in self.parameters])
 
     @cached_property
+    def read_limits(self) -> dict[str, tuple[float, float]]:
+        """Output -> limits of the state that it reads: the one of its name, where it has its unit too."""
+        units = {c.name: c.unit for c in self.states}
+        return {c.name: self.limits[c.name] for c in self.outputs if c.name in self.limits and units[c.name] == c.unit}
+
+    @cached_property
     def turning(self) -> dict[str, str]:
         """Place -> speed state, for every port that turns; the stepper integrates one angle for each place."""
         return {port.place: port.speed for port in self.ports if hasattr(port, "speed")}

@@ -364,3 +364,19 @@ def test_an_input_that_is_not_logged_is_taken_as_0_and_said():
 def test_outputs_that_are_not_logged_are_said(winding):
     (note,) = check(WINDING, Dataset((winding.select(["V1", "V2", "w1", "w3"]),)))
     assert str(note) == "prbs1, w2, theta, r2: not in the record: what shows there alone cannot be found"
+
+
+def test_limits_of_a_state_are_not_those_of_an_output_of_its_name_in_another_unit():
+    """q in m has limits, q in mm is read: a record in mm was taken for one in um."""
+    plant = replace(
+        SMALL_AXIS,
+        limits={"q": (-1.0, 1.0)},
+        outputs=(Channel("q", "mm", "output"),),
+        measure=lambda x, p: {"q": 1000.0 * x.q},
+        noise={"q": 0.1},
+    )
+    records = axis_records(3, records=1, plant=plant)
+    assert plant.read_limits == {}
+    assert replace(SMALL_AXIS, limits={"q": (-1.0, 1.0)}).read_limits == {"q": (-1.0, 1.0)}
+    assert abs(np.median(records.experiments[0]["q"])) > 1.0  # outside of the state's numbers
+    check(plant, records)

@@ -14,7 +14,8 @@ from tests.workbench.diagnose.cases import (
     axis_records,
     noise,
 )  # fmt: skip
-from workbench.data import Channel, Dataset
+from workbench import Parameter, Plant, Span
+from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.predictor import UNTOLD, VISIBLE, Point, predictor
 from workbench.errors import InputError
 
@@ -213,3 +214,28 @@ def test_records_that_cannot_be_predicted_are_refused_with_their_place_and_the_m
 def test_a_point_holds_one_row_of_effects_and_of_starts_for_every_record():
     with pytest.raises(ValueError, match="Point"):
         Point(AXIS.nominal, np.zeros((2, 5)), np.zeros((3, 2)))
+
+
+def test_the_tension_of_a_span_is_pushed_by_what_nobody_logged_whatever_its_place_is_called():
+    def belt(place):
+        def equation(x, u, p, at):
+            rate = getattr(at, place).rate(x.v, p.k, 10.0)
+            return {"v": (u.F - x.T) / p.m, "T": p.k * x.v - x.T + rate}
+
+        return Plant(
+            name="belt",
+            states=(Channel("v", "m/s"), Channel("T", "N")),
+            inputs=(Channel("F", "N", "input"),),
+            outputs=(Channel("T", "N", "output"),),
+            parameters=(Parameter("m", 2.0, "kg"), Parameter("k", 50.0, "N/m")),
+            equation=equation,
+            measure=lambda x, p: {"T": x.T},
+            dt=0.01,
+            ports=(Span(place, "T"),),
+            noise={"T": 0.1},
+        )
+
+    t = 0.01 * np.arange(200)
+    values = np.column_stack([np.sin(t), np.zeros(200)])
+    own = Dataset((Experiment("r", t, (Channel("F", "N", "input"), Channel("T", "N", "output")), values, 0.01),))
+    assert predictor(belt("web"), own).entries == predictor(belt("T"), own).entries == ("T",)
