@@ -325,7 +325,8 @@ def design_pictures(
     name, law = list(laws.items())[-1]
     shown = [rho[i] for i in np.unique(np.linspace(0, len(rho) - 1, FAMILY).round().astype(int))]
     titles = [model.name if schedule is None else f"{schedule.name} = {at:.4g} {schedule.unit}".rstrip() for at in shown]
-    opened = [loops_of(law, model, at, _drawn_at(law, model, [at])) for at in shown]
+    omega = _drawn_at(law, model, shown)
+    opened = [loops_of(law, model, at, omega) for at in shown]
     family = figures.nyquist(
         f"Nyquist curves, {name}",
         {
