@@ -130,7 +130,8 @@ def feedback(experiment: Experiment, *, order: int = 10, lags: int = 10) -> Feed
         moved = slice(phase, None, hold)
         w = np.full(len(u), np.nan)
         news, white = _news(u[moved], r[moved], i, order)
-        if not np.nanvar(news) > 1e-6:
+        told = news[np.isfinite(news)]
+        if len(told) < 2 or not told.var() > 1e-6:
             continue
         w[moved] = news
         for j, output in enumerate(outputs):

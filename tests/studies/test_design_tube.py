@@ -61,7 +61,7 @@ def test_design_writes_a_tube_and_says_what_it_takes(folder, capsys):
     [
         ("mpc", ["--tube"], "c=3:7", "--tube without records"),
         ("mpc", ["--records", "{}/a.csv"], "c=3:7", "--records is for --tube"),
-        ("mpc", ["--tube", "--records", "{}/a.csv", "--bound", "x"], "c=3:7", "--bound x"),
+        ("mpc", ["--tube", "--records", "{}/a.csv", "--bound", "x"], "c=3:7", "--bound 'x' is not a number"),
         ("mpc", ["--tube", "--records", "{}/a.csv"], "c=4.99:5.01", "nothing is left"),
         ("mpc", ["--tube", "--records", "{}/a.csv"], "c=:7", "errors grow with c, which has no limits"),
         ("scheduled-pid", ["--tube"], "c=3:7", "--tube is for mpc"),

@@ -47,6 +47,7 @@ WORTH = 6.0  # BIC by which a cause must be better
 TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws of friction are idealised
 KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
+UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
@@ -652,7 +653,7 @@ def _finding(steps: Sequence[Step], left: Sequence[Left], model: Model) -> Findi
     if worst < LEFT_OVER and _visible(left, model):
         strongest = max(x.statistic for x in left if x.p_family < LEFT_OVER)
         unstable = any(s.stable < LEFT_OVER for s in steps)
-        return Finding.UNKNOWN if strongest > 0.1 * sum(s.gain for s in steps) and unstable else Finding.INCOMPLETE
+        return Finding.UNKNOWN if strongest > UNTOLD * sum(s.gain for s in steps) and unstable else Finding.INCOMPLETE
     return Finding.INCOMPLETE if any(s.stable < LEFT_OVER for s in steps) else Finding.NAMED
 
 

@@ -83,7 +83,7 @@ def test_an_unstable_model_says_so_in_plain_words():
 
 
 def test_n4sid_is_warned_about_in_closed_loop_only():
-    closed, opened = Dataset((run(1, feedback=0.4, N=2000),)), Dataset((run(1, N=2000),))
+    closed, opened = Dataset((run(1, feedback=0.4, N=8000),)), Dataset((run(1, N=8000),))
     with_n4sid = LTI(order=2, method=N4SID(), resamples=0)
     assert any("use PBSID" in note for note in with_n4sid.fit(closed).notes)
     assert not any("use PBSID" in note for note in with_n4sid.fit(opened).notes)
