@@ -532,7 +532,7 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
     found = judge.between(step.before, step.after)
     if step.gain < strongest:
         return "would explain part of it, but more is left beside it than it explains"
-    if all(e.low <= 0.0 <= e.high for name, e in _sizes(step.after, step.key).items() if name not in _shapes(step)):
+    if _none(step):
         return "would explain these records at a size that they do not tell from none"
     ahead_of = any(c.sure and c.share > 0.0 for c in found if c.horizon == "one-second")
     if not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0:
@@ -631,6 +631,11 @@ def _pruned(base: Model, steps: list[Step], lesser: _Lesser) -> list[Step]:
             ]
         model, steps = less[weakest], [s for s in steps if s.key != weakest]
     return [replace(steps[0], before=base, after=model, gain=base.bic - model.bic, stable=stability(model, steps[0].key))]
+
+
+def _none(step: Step) -> bool:
+    """Whether the interval of every size of the effect, but of those of its shape, holds 0."""
+    return all(e.low <= 0.0 <= e.high for name, e in _sizes(step.after, step.key).items() if name not in _shapes(step))
 
 
 def _shapes(step: Step) -> set[str]:

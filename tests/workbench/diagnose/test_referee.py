@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.workbench.diagnose.drive import DRIVE, records
+from workbench.diagnose import diagnosis
 from workbench.diagnose.calibrate import calibrate, gains, trajectories
 from workbench.diagnose.diagnosis import _objection
 from workbench.diagnose.gains import Held, Score
@@ -94,6 +95,17 @@ class Told:
         return self._surprise
 
 
+@pytest.fixture
+def size_known(monkeypatch):
+    monkeypatch.setattr(diagnosis, "_none", lambda step: step.none)
+
+
+def step(gain: float, none: bool = False) -> SimpleNamespace:
+    """A step as far as an objection looks at it; none: the intervals of its sizes hold 0."""
+    return SimpleNamespace(gain=gain, before=None, after=None, none=none)
+
+
+@pytest.mark.usefixtures("size_known")
 @pytest.mark.parametrize(
     ("gain", "left", "first", "change", "named"),
     [
@@ -106,26 +118,33 @@ class Told:
     ],
 )
 def test_what_a_cause_must_gain(gain, left, first, change, named):
-    step = SimpleNamespace(gain=gain, before=None, after=None)
     horizon, before, after = change
-    objection = _objection(step, first, left, Told(Change("y", horizon, "m", before, after, True)), False)
+    objection = _objection(step(gain), first, left, Told(Change("y", horizon, "m", before, after, True)), False)
     assert (objection == "") is named
 
 
+@pytest.mark.usefixtures("size_known")
+@pytest.mark.parametrize("first", [True, False])
+def test_a_size_that_is_not_told_from_none_is_no_cause(first):
+    better = Told(Change("y", "one-second", "m", 1.0, 0.5, True))
+    assert _objection(step(60.0), first, 0.0, better, False) == ""
+    assert "a size that they do not tell from none" in _objection(step(60.0, none=True), first, 0.0, better, False)
+
+
+@pytest.mark.usefixtures("size_known")
 def test_a_further_cause_must_not_make_another_error_worse():
-    step = SimpleNamespace(gain=60.0, before=None, after=None)
     better, rose = Change("y", "one-second", "m", 1.0, 0.9, True), Change("z", "one-step", "m", 1.0, 1.01, True)
-    assert "makes an error worse (z one-step" in _objection(step, False, 0.0, Told(better, rose), False)
-    assert _objection(step, False, 0.0, Told(better, replace(rose, sure=False)), False) == ""
-    assert _objection(step, True, 0.0, Told(better, rose), False) == ""
-    assert "held-out" in _objection(step, True, 0.0, Told(better, surprise=1.0), False)
+    assert "makes an error worse (z one-step" in _objection(step(60.0), False, 0.0, Told(better, rose), False)
+    assert _objection(step(60.0), False, 0.0, Told(better, replace(rose, sure=False)), False) == ""
+    assert _objection(step(60.0), True, 0.0, Told(better, rose), False) == ""
+    assert "held-out" in _objection(step(60.0), True, 0.0, Told(better, surprise=1.0), False)
 
 
+@pytest.mark.usefixtures("size_known")
 def test_what_is_found_without_coloured_torques_is_judged_a_second_ahead():
-    step = SimpleNamespace(gain=60.0, before=None, after=None)
     ahead = Change("y", "one-second", "m", 1.0, 0.8, True)
-    assert _objection(step, True, 0.0, Told(ahead, surprise=1.0), True) == ""
-    assert "held-out" in _objection(step, True, 0.0, Told(replace(ahead, sure=False), surprise=-50.0), True)
+    assert _objection(step(60.0), True, 0.0, Told(ahead, surprise=1.0), True) == ""
+    assert "held-out" in _objection(step(60.0), True, 0.0, Told(replace(ahead, sure=False), surprise=-50.0), True)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
