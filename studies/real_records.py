@@ -19,7 +19,7 @@ import numpy as np
 
 from studies import answers, real_plants
 from studies.hidden_scores import Share
-from studies.real_scores import Machine, Reference, Summary, against, agreeing, outcome, sized, summary
+from studies.real_scores import Ending, Machine, Reference, Summary, against, agreeing, ending, sized, summary
 from studies.stranger_scores import HORIZONS, Row, ratios
 from studies.table import fingerprint, resumed
 from studies.targets import Target, reached, target_table
@@ -192,7 +192,7 @@ def main(
             write_json(path, nullable(content))
     progress("report")
     path = write_report(_report(rows, found, folder, source), folder)
-    say("\n".join([verdict(found), "", *map(said, rows), "", f"report: {path}"]))
+    say("\n".join([verdict(rows, found), "", *map(said, rows), "", f"report: {path}"]))
     return path
 
 
@@ -308,10 +308,12 @@ def _runs_file(folder: Path, record: str, channel: str) -> Path:
 # ---- what is said -----------------------------------------------------------------------------------------------------------
 
 
-def verdict(s: Summary) -> str:
-    """What was reached, and where it falls short, in one paragraph."""
-    named = f"On the label, nothing against it: {s.right}. Outside the catalogue, said to be unknown or incomplete: {s.outside}."
-    return " ".join([f"{s.machines} measured machines.", *reached(TARGETS, s), named])
+def verdict(rows: Sequence[Row], s: Summary) -> str:
+    """Which machine was named as its label says, which not, and what falls short of the targets, in one paragraph."""
+    by = {end: [row["machine"] for row in rows if ending(row, MACHINES[row["machine"]]) is end] for end in Ending}
+    machines = [f"{end.value}: {', '.join(own) or 'none'}." for end, own in by.items()]
+    short = [sentence for sentence in reached(TARGETS, s) if not sentence.startswith("Reached")]
+    return " ".join([f"{s.machines} measured machines.", *machines, *(short or ["All targets are reached."])])
 
 
 def said(row: Row) -> str:
@@ -323,8 +325,10 @@ def said(row: Row) -> str:
     gained = ", ".join(f"{h} x{r:.3g}" for h, r in ratios(row).items()) or "not judged"
     wrong = f"; against the label: {', '.join(against(row, machine))}" if against(row, machine) else ""
     kept = "; not handed out" if row["code"] else ""
-    answer = f"{row['verdict']}, {_causes(row) or 'no cause'}"
-    return f"{machine.name} -> {outcome(row, machine).value}: {answer}{wrong}{kept} ({row['seconds']:.0f} s; held-out {gained})"
+    return (
+        f"{machine.name} -> {row['verdict']}, {_causes(row) or 'no cause'}{wrong}{kept} "
+        f"({row['seconds']:.0f} s; held-out {gained})"
+    )
 
 
 def _causes(row: Row) -> str:
@@ -356,26 +360,23 @@ def _report(rows: Sequence[Row], found: Summary, folder: Path, source: dict[str,
         *(Section(row["machine"], _machine(row, folder / row["machine"])) for row in rows),
         Section("Provenance", (Provenance(source),)),
     )
-    return Report("Real records: what the diagnosis says of nine measured machines", verdict(found), sections)
+    return Report("Real records: what the diagnosis says of nine measured machines", verdict(rows, found), sections)
 
 
 def _answers(rows: Sequence[Row]) -> Table:
     table = []
     for row in rows:
         machine = MACHINES[row["machine"]]
-        full = ratios(row).get("full-run")
-        wrong = ", ".join(against(row, machine)) or "-"
-        agrees = ", ".join(agreeing(row, machine)) or "-"
-        handed = "" if "verdict" not in row else "no" if row["code"] else "yes"
-        end = outcome(row, machine).value
-        table.append((machine.name, end, row.get("verdict", "-"), agrees, wrong, handed, full, row["seconds"], machine.lacks))
+        handed = "-" if "verdict" not in row else "no" if row["code"] else "yes"
+        own = [ratios(row).get(horizon) for horizon in HORIZONS]
+        answer = (row.get("verdict", "-"), _causes(row) or "-", handed)
+        table.append((machine.name, ending(row, machine).value, *answer, *own, row["seconds"], machine.lacks))
     header = (
-        "machine", "against the label", "verdict", "names on the label", "names against it", "handed out", "full run",
-        "CPU time [s]", "label: a plain model lacks",
+        "machine", "how it ends", "verdict", "causes", "handed out", *HORIZONS, "CPU time [s]", "label: a plain model lacks",
     )  # fmt: skip
     caption = (
-        "Full run: held-out error of the plant as found over that of the plant as given, geometric mean of records and channels. "
-        "Where the catalogue holds nothing of a label, no name is right, and unknown is."
+        "One-step, one-second, full-run: held-out error of the plant as found over that of the plant as given, geometric mean of "
+        "records and channels. Where the catalogue holds nothing of a label, no name is right, and unknown is."
     )
     return Table("What was said of each machine", header, tuple(table), caption=caption, digits=3)
 
@@ -413,7 +414,8 @@ def _machine(row: Row, folder: Path) -> tuple[Block, ...]:
     """Label and answer in words, then measured and simulated free runs on every held-out record."""
     machine = MACHINES[row["machine"]]
     allowed = ", ".join(machine.right) or "no name of the catalogue"
-    parts = [f"A plain model lacks {machine.lacks}. Right: {allowed}.", said(row)]
+    agrees = ", ".join(agreeing(row, machine)) or "none"
+    parts = [f"A plain model lacks {machine.lacks}. Right: {allowed}. Named of these: {agrees}.", said(row)]
     parts += [row[fault] for fault in ("refused", "crashed", "unjudged") if fault in row]
     parts += [*row.get("first", ()), *(f"note: {note}" for note in row.get("notes", ()))]
     return (Text("\n\n".join(parts)), *(_picture(path) for path in sorted((folder / "free_runs").glob("*.csv"))))

@@ -7,13 +7,27 @@ is the answer.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from enum import Enum
 from typing import Any
 
 from studies.hidden_scores import Share, beyond_rounding, names, share, strangers
-from studies.stranger_scores import Outcome, Row, ratios, worse
+from studies.stranger_scores import Row, ratios, worse
 from workbench.records import field, record
 
 KEPT = "the plant keeps its own parameters"  # a note of the diagnosis, which says why
+
+
+class Ending(Enum):
+    """How a machine ends, in the words of the first lines; the worst first."""
+
+    CRASHED = "Crashed"
+    REFUSED = "Refused"
+    WRONG = "Named against the label, with confidence"
+    BESIDE = "Named against the label, in an answer that says it is incomplete"
+    MISSED = "Said to lack nothing"
+    OPEN = "Said to be unknown, though the catalogue holds a name"
+    OUTSIDE = "Said to be unknown, and outside the catalogue"
+    RIGHT = "Named as the label says"
 
 
 @record
@@ -60,7 +74,7 @@ class Summary:
     wrong: Share  # of all answers: a name against the label, with the verdict "named"
     beside: Share  # the same with the verdict "incomplete"
     right: Share  # of machines whose label the catalogue holds: an allowed name, and none against the label
-    outside: Share  # of the other machines: "unknown", or "incomplete"
+    outside: Share  # of the other machines: "unknown", with no name
     lower: Share  # of all answers: held-out errors over the full run lower than those of the plant as given, or said why not
     worse: Share  # of all answers: worse a second ahead or over the full run, and not said
 
@@ -80,21 +94,18 @@ def agreeing(row: Row, machine: Machine) -> list[str]:
     return [c["key"] for c in beyond_rounding(labelled(row, machine)) if names(c) & set(machine.right)]
 
 
-def outcome(row: Row, machine: Machine) -> Outcome:
-    """What was said about a machine, against its label."""
-    for fault in (Outcome.CRASHED, Outcome.REFUSED):
-        if fault.value in row:
+def ending(row: Row, machine: Machine) -> Ending:
+    """How a machine ends: what was said of it, against its label."""
+    for fault in (Ending.CRASHED, Ending.REFUSED):
+        if fault.name.lower() in row:
             return fault
-    verdict, wrong = row["verdict"], against(row, machine)
-    if verdict == "unknown":
-        return Outcome.UNKNOWN if machine.right else Outcome.RIGHT
-    if verdict == "incomplete":
-        return Outcome.INCOMPLETE
-    if wrong:
-        return Outcome.WRONG
-    if not (named := agreeing(row, machine)):
-        return Outcome.MISSED
-    return Outcome.RIGHT if set(named) <= set(machine.right) else Outcome.TIE
+    if against(row, machine):
+        return Ending.WRONG if row["verdict"] == "named" else Ending.BESIDE
+    if agreeing(row, machine):
+        return Ending.RIGHT
+    if row["verdict"] == "nothing":
+        return Ending.MISSED
+    return Ending.OPEN if machine.right else Ending.OUTSIDE
 
 
 def sized(row: Row, machine: Machine) -> dict[str, tuple[float, float, float, float]]:
@@ -115,19 +126,14 @@ def summary(rows: Iterable[Row], machines: Mapping[str, Machine]) -> Summary:
     rows = list(rows)
     pairs: Sequence[tuple[Any, Machine]] = [(row, machines[row["machine"]]) for row in rows]
     answered = [(row, machine) for row, machine in pairs if "verdict" in row]
-    held = (Outcome.RIGHT, Outcome.TIE)
     return Summary(
         machines=len(rows),
         crashed=share("crashed" in row for row in rows),
         refused=share("refused" in row for row in rows),
-        wrong=share(row["verdict"] == "named" and bool(against(row, machine)) for row, machine in answered),
-        beside=share(row["verdict"] == "incomplete" and bool(against(row, machine)) for row, machine in answered),
-        right=share(
-            bool(agreeing(row, machine)) and not against(row, machine) and outcome(row, machine) in (*held, Outcome.INCOMPLETE)
-            for row, machine in pairs
-            if machine.right
-        ),
-        outside=share(row.get("verdict") in ("unknown", "incomplete") for row, machine in pairs if not machine.right),
+        wrong=share(ending(row, machine) is Ending.WRONG for row, machine in answered),
+        beside=share(ending(row, machine) is Ending.BESIDE for row, machine in answered),
+        right=share(ending(row, machine) is Ending.RIGHT for row, machine in pairs if machine.right),
+        outside=share(ending(row, machine) is Ending.OUTSIDE for row, machine in pairs if not machine.right),
         lower=share(lower(row) for row, _ in answered if row.get("errors")),
         worse=share(bool(worse(row)) and not row["says_worse"] for row, _ in answered if row.get("errors")),
     )
