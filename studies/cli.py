@@ -302,7 +302,7 @@ def parser() -> argparse.ArgumentParser:
         "--jobs",
         type=_positive,
         metavar="N",
-        help="processes side by side (default 2; 1 of real-records and of those that --cases is for)",
+        help="processes side by side (default 2; 1 of real-records and those of --cases)",
     )
     sub.add_argument("--fresh", action="store_true", default=None, help="web-winding: compute every stage anew")
     return top
