@@ -23,7 +23,7 @@ from studies.real_scores import Ending, Machine, Reference, Summary, against, ag
 from studies.stranger_scores import HORIZONS, Row, ratios
 from studies.table import fingerprint, resumed
 from studies.targets import Target, reached, target_table
-from workbench.data import Dataset, Experiment
+from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.runs import Runner
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -313,7 +313,9 @@ def verdict(rows: Sequence[Row], s: Summary) -> str:
     by = {end: [row["machine"] for row in rows if ending(row, MACHINES[row["machine"]]) is end] for end in Ending}
     machines = [f"{end.value}: {', '.join(own) or 'none'}." for end, own in by.items()]
     short = [sentence for sentence in reached(TARGETS, s) if not sentence.startswith("Reached")]
-    return " ".join([f"{s.machines} measured machines.", *machines, *(short or ["All targets are reached."])])
+    return " ".join(
+        [f"{s.machines} measured machines.", *machines, *(short or [f"Reached: {'; '.join(f'{t.what}: {t}' for t in TARGETS)}."])]
+    )
 
 
 def said(row: Row) -> str:
@@ -418,11 +420,15 @@ def _machine(row: Row, folder: Path) -> tuple[Block, ...]:
     parts = [f"A plain model lacks {machine.lacks}. Right: {allowed}. Named of these: {agrees}.", said(row)]
     parts += [row[fault] for fault in ("refused", "crashed", "unjudged") if fault in row]
     parts += [*row.get("first", ()), *(f"note: {note}" for note in row.get("notes", ()))]
-    return (Text("\n\n".join(parts)), *(_picture(path) for path in sorted((folder / "free_runs").glob("*.csv"))))
+    plant: Plant = getattr(real_plants, machine.plant)
+    runs = [(Path(file).stem, c) for file in machine.held_out for c in plant.outputs]
+    return (
+        Text("\n\n".join(parts)),
+        *(_picture(path, record, c) for record, c in runs if (path := _runs_file(folder, record, c.name)).exists()),
+    )
 
 
-def _picture(path: Path) -> Block:
+def _picture(path: Path, record: str, channel: Channel) -> Block:
     e = read(path)
-    measured = Trace(e.channel("measured"), e["measured"])
     simulated = {which: e[which] for which in (GIVEN, FOUND) if which in e.names}
-    return figures.measured_and_simulated(path.stem, e.t, measured, simulated)
+    return figures.measured_and_simulated(record, e.t, Trace(channel, e["measured"]), simulated)

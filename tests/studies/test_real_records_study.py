@@ -213,7 +213,7 @@ def test_a_shortened_machine_goes_through_the_command_to_a_page_with_its_free_ru
     assert found["errors"]["full-run"].keys() == {"val, y"}
     assert len(found["others"]["val"]) == 2
     text = page.read_text(encoding="utf-8")
-    for word in ("cascaded_tanks", "grey box 0.191", "val_y", own.lacks):
+    for word in ("cascaded_tanks", "grey box 0.191", "record val", own.lacks):
         assert word in text
     assert "cascaded_tanks -> " in heard[0]
 
