@@ -9,7 +9,7 @@ from types import ModuleType
 PACKAGES = ("workbench", "controllers", "plants", "studies")
 
 NAMES = (
-    "web-winding", "winding-models", "welding-robot", "emps", "winding-records", "hidden-effects", "strangers",
+    "web-winding", "winding-models", "welding-robot", "emps", "winding-records", "hidden-effects", "strangers", "real-records",
     "controller-comparison", "robust-winding", "pid-bandwidth", "sampling-time", "noise-level", "record-count", "detection-rate",
 )  # fmt: skip
 

@@ -299,7 +299,10 @@ def parser() -> argparse.ArgumentParser:
         help="hidden-effects, strangers: cases (default 600, 400); controller-comparison: seeds (20)",
     )
     sub.add_argument(
-        "--jobs", type=_positive, metavar="N", help="processes side by side (default 2; 1 of those that --cases is for)"
+        "--jobs",
+        type=_positive,
+        metavar="N",
+        help="processes side by side (default 2; 1 of real-records and those of --cases)",
     )
     sub.add_argument("--fresh", action="store_true", default=None, help="web-winding: compute every stage anew")
     return top

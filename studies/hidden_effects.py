@@ -6,8 +6,6 @@ states for records without any effect. Where the diagnosis declares a tie and re
 runs it, and the diagnosis is made again. All rates are of the rows alone: see hidden_scores.
 """
 
-import hashlib
-import json as plain_json
 import math
 import sys
 import time
@@ -37,7 +35,8 @@ from studies.hidden_scores import (
     resolution,
     tied,
 )
-from studies.table import made, whole_rows
+from studies.table import fingerprint, resumed
+from studies.targets import Target, reached, target_table
 from workbench.data import Dataset, Experiment
 from workbench.diagnose.diagnosis import diagnose
 from workbench.diagnose.predictor import predictor
@@ -45,8 +44,7 @@ from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
-from workbench.provenance import provenance, versions
-from workbench.records import record
+from workbench.provenance import provenance
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import Rates
@@ -64,24 +62,6 @@ SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 600, 30
 CONFUSIONS = 20
 LAYOUT = 3  # of a row: rows of another layout are not counted with these
-
-
-@record
-class Target:
-    """The range that a rate of the diagnosis must lie in; rate: a field of Summary."""
-
-    what: str
-    rate: str
-    low: float = 0.0
-    high: float = 1.0
-
-    def reached(self, share: Share) -> bool:
-        return self.low <= share.rate <= self.high
-
-    def __str__(self) -> str:
-        if self.low == 0.0:
-            return f"{100 * self.high:g} % or less"
-        return f"{100 * self.low:g} % or more" if self.high == 1.0 else f"{100 * self.low:g} to {100 * self.high:g} %"
 
 
 TARGETS = (
@@ -293,23 +273,18 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
 
     Raises InputError where the folder's rows were made by another version or with other limits.
     """
-    table = folder / "cases.jsonl"
-    rows = whole_rows(table)
     limits = _limits(folder, progress)
     configuration = configured(limits)
-    others = {row.get("configuration", "none") for row in rows} - {configuration}
-    if others:
-        raise InputError(
-            f"holds cases of another version or with other limits ({', '.join(sorted(others))}, now {configuration})",
-            file=table,
-            mend="give a new --out folder, or the workbench that wrote this one",
-        )
-    done = {row["seed"] for row in rows}
-    work = partial(run_case, limits=limits, configuration=configuration)
-    for row in made(table, work, [seed for seed in seeds if seed not in done], jobs):
-        rows.append(row)
-        progress(said(row))
-    return rows
+    return resumed(
+        folder / "cases.jsonl",
+        partial(run_case, limits=limits, configuration=configuration),
+        list(seeds),
+        key="seed",
+        configuration=configuration,
+        of="of another version or with other limits",
+        jobs=jobs,
+        heard=lambda row: progress(said(row)),
+    )
 
 
 def _limits(folder: Path, progress: Say) -> Limits:
@@ -325,9 +300,8 @@ def _limits(folder: Path, progress: Say) -> Limits:
 
 
 def configured(limits: Limits) -> str:
-    """What rows must share to be counted together: a hash of layout, limits, and the versions of all that computes."""
-    content = plain_json.dumps([LAYOUT, limits, versions()], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:12]
+    """What rows must share to be counted together: layout, limits, and the versions of all that computes."""
+    return fingerprint(LAYOUT, limits)
 
 
 def said(row: Row) -> str:
@@ -352,17 +326,7 @@ def _causes_said(answer: Mapping[str, Any]) -> str:
 
 def verdict(s: Summary) -> str:
     """The targets, what was reached, and where it falls short, in one paragraph."""
-    judged = [(t, getattr(s, t.rate)) for t in TARGETS]
-    met = [(t, share) for t, share in judged if share.of and t.reached(share)]
-    short = [(t, share) for t, share in judged if share.of and not t.reached(share)]
-    said = [f"{s.cases} cases."]
-    if short:
-        said.append("Falls short: " + "; ".join(f"{t.what}: {share}, target {t}" for t, share in short) + ".")
-    if met:
-        said.append("Reached: " + "; ".join(f"{t.what}: {share}, target {t}" for t, share in met) + ".")
-    open_ = [t.what for t, share in judged if not share.of]
-    if open_:
-        said.append(f"Without a case: {'; '.join(open_)}.")
+    said = [f"{s.cases} cases.", *reached(TARGETS, s)]
     if s.errors:
         said.append(f"{s.errors} diagnoses ended with an error; they count as if nothing had been said.")
     return " ".join(said)
@@ -403,24 +367,12 @@ def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str,
 
 
 def _targets(found: Mapping[str, Summary]) -> Table:
-    rows, machines = [], [name for name in found if name != "all"]
-    for t in TARGETS:
-        share = getattr(found["all"], t.rate)
-        low, high = (100 * end for end in share.interval)
-        reached = "no case" if not share.of else "yes" if t.reached(share) else "no"
-        cells = [getattr(found[name], t.rate) for name in machines]
-        numbers = [f"{s.hits} of {s.of}" for s in (share, *cells)]
-        rows.append((t.what, str(t), reached, 100 * share.rate if share.of else None, low, high, *numbers))
-    return Table(
-        "Targets and what was reached",
-        ("what", "target", "reached", "share [%]", "low [%]", "high [%]", "cases", *machines),
-        tuple(rows),
-        caption=f"An effect counts from {TESTABLE:g} times its detection limit on, both the limit of records without it and that "
+    caption = (
+        f"An effect counts from {TESTABLE:g} times its detection limit on, both the limit of records without it and that "
         "which the diagnosis of the very records states (that of rounding apart, which holds the step itself), unless it could "
-        "not be tested. A wrong name beside the right one makes a case wrong. Outside the catalogue: from 5 times on. Intervals: "
-        "Clopper and Pearson, 95 %.",
-        digits=3,
+        "not be tested. A wrong name beside the right one makes a case wrong. Outside the catalogue: from 5 times on."
     )
+    return target_table(TARGETS, found, [name for name in found if name != "all"], caption)
 
 
 def _outcomes(found: Mapping[str, Summary]) -> Table:

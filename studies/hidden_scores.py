@@ -160,7 +160,7 @@ def names(cause: Mapping[str, Any]) -> set[str]:
 
 def found(row: Row) -> int:
     """How many of the hidden effects are named or in a tie, each by a cause of its own."""
-    return _matched([t["key"] for t in row["truth"]], [names(c) for c in _causes(row)])
+    return _matched([t["key"] for t in row["truth"]], [names(c) for c in beyond_rounding(row)])
 
 
 def _matched(keys: Sequence[str], said: Sequence[set[str]]) -> int:
@@ -175,12 +175,12 @@ def _matched(keys: Sequence[str], said: Sequence[set[str]]) -> int:
 def strangers(row: Row) -> list[str]:
     """Causes that stand for nothing that was hidden."""
     keys = {t["key"] for t in row["truth"]}
-    return [c["key"] for c in _causes(row) if not keys & names(c)]
+    return [c["key"] for c in beyond_rounding(row) if not keys & names(c)]
 
 
 def outcome(row: Row) -> Outcome:
     """What was said about the single effect of a row."""
-    key, causes = row["truth"][0]["key"], _causes(row)
+    key, causes = row["truth"][0]["key"], beyond_rounding(row)
     if not causes:
         return Outcome.UNKNOWN if row.get("verdict") in ("unknown", "incomplete") else Outcome.MISSED
     if found(row):
@@ -213,7 +213,7 @@ def _shown(row: Row, truth: Mapping[str, Any]) -> bool:
 
 def tied(row: Row) -> set[str]:
     """The hidden effects that a declared tie holds."""
-    return {t["key"] for t in row["truth"] for c in _causes(row) if c["ties"] and t["key"] in names(c)}
+    return {t["key"] for t in row["truth"] for c in beyond_rounding(row) if c["ties"] and t["key"] in names(c)}
 
 
 def resolution(row: Row) -> Resolution | None:
@@ -234,7 +234,7 @@ def resolution(row: Row) -> Resolution | None:
     return Resolution.RESOLVED if keys <= {c["key"] for c in after["causes"] if not c["ties"]} else Resolution.TIED
 
 
-def _causes(row: Row) -> Sequence[Mapping[str, Any]]:
+def beyond_rounding(row: Row) -> Sequence[Mapping[str, Any]]:
     """What was named, without the rounding that a sensor has in every record: that is there, and is not what was hidden."""
     steps = {f"{ROUNDED}@{name}": step for name, step in row.get("resolutions", {}).items()}
     hidden = {t["key"] for t in row["truth"]}
@@ -268,7 +268,7 @@ def summary(rows: Iterable[Row]) -> Summary:
         missed=share(o is Outcome.MISSED for o in said),
         right_or_tie_by_multiple=share(outcome(row) in held for row in single if by_multiple(row)),
         wrong_at_any_size=share(outcome(row) is Outcome.WRONG for row in single),
-        false_alarms=share(bool(_causes(row)) for row in nothing),
+        false_alarms=share(bool(beyond_rounding(row)) for row in nothing),
         unknown_of_nothing=share(row.get("verdict") == "unknown" for row in nothing),
         both=share(found(row) == 2 for row in both),
         one=share(found(row) == 1 for row in both),
@@ -299,7 +299,7 @@ def inside(rows: Iterable[Row]) -> Iterable[bool]:
     """Whether a true number lies in its stated interval; a number that is stated without one is not asked."""
     for row in rows:
         truth = {t["key"]: t["parameters"] for t in row["truth"]}
-        for cause in _causes(row):
+        for cause in beyond_rounding(row):
             for name, true in truth.get(cause["key"], {}).items():
                 _, low, high = cause["parameters"].get(name, (0.0, 0.0, 0.0))
                 if low < high:
@@ -307,7 +307,7 @@ def inside(rows: Iterable[Row]) -> Iterable[bool]:
 
 
 def _gained(rows: Iterable[Row]) -> Iterable[bool]:
-    return (c["improved"] < 1.0 for row in rows for c in _causes(row) if c["improved"] is not None)
+    return (c["improved"] < 1.0 for row in rows for c in beyond_rounding(row) if c["improved"] is not None)
 
 
 def _binned(values: Sequence[float], hits: Sequence[bool], edges: Sequence[float]) -> tuple[Bin, ...]:
@@ -330,7 +330,7 @@ def _calibration(rows: Iterable[Row]) -> tuple[Bin, ...]:
     stated, hits = [], []
     for row in rows:
         keys = {t["key"] for t in row["truth"]}
-        for cause in _causes(row):
+        for cause in beyond_rounding(row):
             for key, weight in {cause["key"]: cause["posterior"], **cause["ties"]}.items():
                 stated.append(weight)
                 hits.append(key in keys)
@@ -341,8 +341,8 @@ def _confusions(rows: Iterable[Row]) -> tuple[Confusion, ...]:
     """What was named where something else was hidden, the most frequent first."""
     counts, tied = Counter(), Counter()
     for row in rows:
-        keys, said = [t["key"] for t in row["truth"]], {c["key"] for c in _causes(row)}
-        for cause in _causes(row):
+        keys, said = [t["key"] for t in row["truth"]], {c["key"] for c in beyond_rounding(row)}
+        for cause in beyond_rounding(row):
             for key in keys:
                 if key not in said and cause["key"] not in keys:
                     pair = row["machine"], key, cause["key"]

@@ -6,15 +6,10 @@ An answer, a refusal with its message, or a crash with its traceback is a row of
 run that was cut off goes on where it stopped. All rates are of the rows alone: see stranger_scores.
 """
 
-import hashlib
-import io
-import json as plain_json
 import sys
 import tempfile
-import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -23,19 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from studies import answers
 from studies.hidden_scores import Share
 from studies.stranger_scores import HORIZONS, Outcome, Row, Summary, by_machine, outcome, ratios, strangers, worse
-from studies.table import made, whole_rows
-from workbench.data import Dataset
-from workbench.diagnose.calibrate import along
-from workbench.diagnose.gains import SETTLING, errors
+from studies.table import fingerprint, resumed
+from studies.targets import Target, reached, target_table
 from workbench.errors import InputError
-from workbench.files import nullable, read_json, write_json
-from workbench.physics.extension import extension
-from workbench.physics.plant import Plant
-from workbench.provenance import provenance, versions
+from workbench.files import nullable, write_json
+from workbench.provenance import provenance
 from workbench.readers import write_csv
-from workbench.records import record
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
 
@@ -44,24 +35,6 @@ Say = Callable[[str], None]
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 400, 28
 LAYOUT = 2  # of a row: rows of another layout are not counted with these
-
-
-@record
-class Target:
-    """The range that a rate must lie in; rate: a field of Summary."""
-
-    what: str
-    rate: str
-    low: float = 0.0
-    high: float = 1.0
-
-    def reached(self, share: Share) -> bool:
-        return self.low <= share.rate <= self.high
-
-    def __str__(self) -> str:
-        if self.low == 0.0:
-            return "none" if self.high == 0.0 else f"{100 * self.high:g} % or less"
-        return f"{100 * self.low:g} % or more" if self.high == 1.0 else f"{100 * self.low:g} to {100 * self.high:g} %"
 
 
 TARGETS = (
@@ -146,69 +119,17 @@ def run_case(seed: int, configuration: str) -> dict[str, Any]:
 
 def answer(drawn: Any, folder: Path) -> dict[str, Any]:
     """What `workbench diagnose` makes of a case, and the held-out errors of what it hands out."""
-    paths = [(folder / f"{k}.csv", e) for k, e in enumerate([*drawn.records, *drawn.held_out])]
-    for path, e in paths:
+    paths = [folder / f"{k}.csv" for k in range(len(drawn.records) + len(drawn.held_out))]
+    for path, e in zip(paths, [*drawn.records, *drawn.held_out], strict=True):
         write_csv(e, path)
-    records, held = [str(p) for p, _ in paths[: len(drawn.records)]], [str(p) for p, _ in paths[len(drawn.records) :]]
     plant, name = zoo().registry.MACHINES[drawn.machine].plant, zoo().registry.PLANT_OF[drawn.machine]
-    words = ["diagnose", *records, "--plant", name, "--holdout", *held, "--out", str(folder / "found")]
-    spoken, began = io.StringIO(), time.process_time()
+    row = answers.answer(paths[: len(drawn.records)], paths[len(drawn.records) :], name, folder / "found")
+    if "verdict" not in row:
+        return row
     try:
-        code = _command(words, spoken)
-    except InputError as reason:
-        return {"refused": str(reason)}
-    except Exception as reason:
-        return {"crashed": "".join(traceback.format_exception(reason))[-4000:]}
-    seconds = time.process_time() - began
-    said = read_json(folder / "found" / "diagnosis.json")
-    first = spoken.getvalue().strip().splitlines()[:1]
-    row = {
-        "code": code, "verdict": said["verdict"], "causes": [_cause(c) for c in said["causes"]], "notes": said["notes"],
-        "untestable": [f"{u['effect']}@{u['at']}" for u in said["untestable"]],
-        "limits": {f"{d['effect']}@{d['at']}": d["value"] for d in said["detection_limits"]},
-        "remainder": [[r["channel"], r["over"], r["p_value"], r["share"]] for r in said["remainder"]],
-        "recalibrated": {name: [e["nominal"], e["value"]] for name, e in said["recalibrated"].items()},
-        "first": first, "says_worse": code == 3 or any("worse" in line.lower() for line in first), "seconds": seconds,
-    }  # fmt: skip
-    try:
-        handed_out = extension(plant, "", said["parameters"], said["effects"]).of(plant)
-        return row | {"errors": _compared(plant, handed_out, drawn.held_out)}
+        return row | {"errors": answers.compared([plant, answers.plant_of(row, plant)], drawn.held_out)}
     except Exception as reason:
         return row | {"unjudged": "".join(traceback.format_exception(reason))[-2000:]}
-
-
-def _command(words: Sequence[str], spoken: io.StringIO) -> int:
-    """Exit code of a command; what it says goes to `spoken`. Lets its errors through."""
-    from studies.cli import parser
-    from studies.commands import run as run_command
-
-    with redirect_stdout(spoken), redirect_stderr(io.StringIO()):
-        return run_command(parser().parse_args(list(words)))
-
-
-def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "key": f"{c['effect']}@{c['at']}", "ties": c["ties"], "stability": c["stability"],
-        "delta_bic": c["evidence"]["delta_bic"],
-        "parameters": {name: [e["value"], e["low"], e["high"]] for name, e in c["parameters"].items()},
-    }  # fmt: skip
-
-
-def _compared(given: Plant, handed_out: Plant, held_out: Dataset) -> dict[str, dict[str, list[float | None]]]:
-    """Errors {horizon: {"record, channel": [given, handed out]}}, root mean square; None where a run did not last."""
-    result: dict[str, dict[str, list[float | None]]] = {h: {} for h in HORIZONS}
-    for e in held_out:
-        for plant in (given, handed_out):
-            done = along(plant.sampled(e.dt), Dataset((e,)))
-            for horizon in HORIZONS:
-                wrong = errors(done.predictor, done.fit.point, 0, horizon)[SETTLING:]
-                for j, c in enumerate(plant.outputs):
-                    if c.name in e.names:
-                        seen = wrong[:, j][np.isfinite(wrong[:, j])]
-                        with np.errstate(over="ignore"):
-                            rms = float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan
-                        result[horizon].setdefault(f"{e.name}, {c.name}", []).append(rms if np.isfinite(rms) else None)
-    return result
 
 
 # ---- a run that can be cut off and goes on ------------------------------------------------------------------------------------
@@ -219,27 +140,22 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
 
     Raises InputError where the folder's rows were made by another version.
     """
-    table = folder / "cases.jsonl"
-    rows, configuration = whole_rows(table), configured()
-    others = {row.get("configuration", "none") for row in rows} - {configuration}
-    if others:
-        raise InputError(
-            f"holds cases of another version ({', '.join(sorted(others))}, now {configuration})",
-            file=table,
-            mend="give a new --out folder, or the workbench that wrote this one",
-        )
-    done = {row["seed"] for row in rows}
+    configuration = configured()
     work = partial(run_case, configuration=configuration)
-    for row in made(table, work, [seed for seed in seeds if seed not in done], jobs):
-        rows.append(row)
-        progress(said(row))
-    return rows
+    return resumed(
+        folder / "cases.jsonl",
+        work,
+        list(seeds),
+        key="seed",
+        configuration=configuration,
+        jobs=jobs,
+        heard=lambda row: progress(said(row)),
+    )
 
 
 def configured() -> str:
-    """What rows must share to be counted together: a hash of layout, and the versions of all that computes."""
-    content = plain_json.dumps([LAYOUT, list(zoo().registry.MACHINES), versions()], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:12]
+    """What rows must share to be counted together: layout, machines, and the versions of all that computes."""
+    return fingerprint(LAYOUT, list(zoo().registry.MACHINES))
 
 
 def said(row: Row) -> str:
@@ -261,17 +177,7 @@ def said(row: Row) -> str:
 
 def verdict(s: Summary) -> str:
     """The targets, what was reached, and where it falls short, in one paragraph."""
-    judged = [(t, getattr(s, t.rate)) for t in TARGETS]
-    words = [f"{s.cases} cases of machines that the workbench has not seen."]
-    for title, own in (
-        ("Falls short", [(t, share) for t, share in judged if share.of and not t.reached(share)]),
-        ("Reached", [(t, share) for t, share in judged if share.of and t.reached(share)]),
-    ):
-        if own:
-            words.append(f"{title}: " + "; ".join(f"{t.what}: {share}, target {t}" for t, share in own) + ".")
-    if open_ := [t.what for t, share in judged if not share.of]:
-        words.append(f"Without a case: {'; '.join(open_)}.")
-    return " ".join(words)
+    return " ".join([f"{s.cases} cases of machines that the workbench has not seen.", *reached(TARGETS, s)])
 
 
 def to_json(s: Summary) -> dict[str, Any]:
@@ -294,18 +200,11 @@ def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str,
 
 
 def _targets(found: Mapping[str, Summary]) -> Table:
-    rows = []
-    for t in TARGETS:
-        share = getattr(found["all"], t.rate)
-        low, high = (100 * end for end in share.interval)
-        reached = "no case" if not share.of else "yes" if t.reached(share) else "no"
-        rows.append((t.what, str(t), reached, 100 * share.rate if share.of else None, low, high, f"{share.hits} of {share.of}"))
     caption = (
         "Every hidden effect is at least twice the detection limit of the zoo's own yardstick. A wrong name beside the right one "
-        "makes a case wrong. Intervals: Clopper and Pearson, 95 %."
+        "makes a case wrong."
     )
-    header = ("what", "target", "reached", "share [%]", "low [%]", "high [%]", "cases")
-    return Table("Targets and what was reached", header, tuple(rows), caption=caption, digits=3)
+    return target_table(TARGETS, found, caption=caption)
 
 
 def _outcomes(rows: Sequence[Row], found: Mapping[str, Summary]) -> Table:

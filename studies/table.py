@@ -1,5 +1,6 @@
 """Work whose rows stand in a file as soon as they are done, so that a run that was cut off goes on where it stopped."""
 
+import hashlib
 import json
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
@@ -8,6 +9,7 @@ from typing import Any
 
 from workbench.errors import InputError
 from workbench.files import write_text
+from workbench.provenance import versions
 
 
 def whole_rows(table: Path) -> list[dict[str, Any]]:
@@ -44,3 +46,40 @@ def _rows(work: Callable[[Any], dict[str, Any]], items: Sequence[Any], jobs: int
         return
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
         yield from pool.imap_unordered(work, items)
+
+
+def resumed(
+    table: Path,
+    work: Callable[[Any], dict[str, Any]],
+    items: Sequence[Any],
+    *,
+    key: str,
+    configuration: str,
+    of: str = "of another version",
+    jobs: int = 1,
+    heard: Callable[[dict[str, Any]], None] = lambda _: None,
+) -> list[dict[str, Any]]:
+    """All rows of the table after every item has one; an item whose row is there already (row[key]) is not done again.
+
+    heard: is given each new row. Raises InputError where a row of the table was made with another `configuration`; of: what that
+    means.
+    """
+    rows = whole_rows(table)
+    others = {row.get("configuration", "none") for row in rows} - {configuration}
+    if others:
+        raise InputError(
+            f"holds cases {of} ({', '.join(sorted(others))}, now {configuration})",
+            file=table,
+            mend="give a new --out folder, or the workbench that wrote this one",
+        )
+    done = {row[key] for row in rows}
+    for row in made(table, work, [item for item in items if item not in done], jobs):
+        rows.append(row)
+        heard(row)
+    return rows
+
+
+def fingerprint(*parts: Any) -> str:
+    """What rows must share to be counted together: a hash of `parts`, and of the versions of all that computes."""
+    content = json.dumps([*parts, versions()], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:12]

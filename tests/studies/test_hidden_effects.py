@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import beta
 
 from plants import POSITIONING_AXIS
-from studies import STUDIES, hidden_effects
+from studies import STUDIES, hidden_effects, table
 from studies.cli import main as command
 from studies.hidden_effects import SEEDS, TARGETS, configured, run, run_case, said, to_json, verdict
 from studies.hidden_scores import (
@@ -424,7 +424,7 @@ def test_the_configuration_tells_limits_and_versions_apart(monkeypatch):
     with monkeypatch.context() as other:  # rows that know nothing of experiments are not counted with rows that do
         other.setattr(hidden_effects, "LAYOUT", hidden_effects.LAYOUT - 1)
         assert configured({"m": {"offset@u": 0.1}}) != before
-    monkeypatch.setattr(hidden_effects, "versions", lambda: {"gain-scheduling-workbench": "another"})
+    monkeypatch.setattr(table, "versions", lambda: {"gain-scheduling-workbench": "another"})
     assert configured({"m": {"offset@u": 0.1}}) != before
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from studies import strangers
+from studies import answers, strangers
 from studies.stranger_scores import Outcome, outcome, ratios, summary, worse
 from studies.strangers import TARGETS, answer, configured, run, said, verdict, zoo
 from workbench.data import Dataset, Experiment
@@ -105,16 +105,16 @@ def drawn():
 
 
 def test_a_typed_refusal_is_refused_with_its_message(drawn, tmp_path, monkeypatch):
-    monkeypatch.setattr(strangers, "_command", lambda words, spoken: (_ for _ in ()).throw(InputError("no sound", mend="none")))
+    monkeypatch.setattr(answers, "command", lambda words, spoken: (_ for _ in ()).throw(InputError("no sound", mend="none")))
     found = answer(drawn, tmp_path)
-    assert found.keys() == {"refused"}
+    assert found.keys() == {"refused", "seconds"}
     assert "no sound" in found["refused"]
 
 
 def test_any_other_exception_is_a_crash_with_its_traceback(drawn, tmp_path, monkeypatch):
-    monkeypatch.setattr(strangers, "_command", lambda words, spoken: np.linalg.cholesky(-np.eye(2)))
+    monkeypatch.setattr(answers, "command", lambda words, spoken: np.linalg.cholesky(-np.eye(2)))
     found = answer(drawn, tmp_path)
-    assert found.keys() == {"crashed"}
+    assert found.keys() == {"crashed", "seconds"}
     assert "LinAlgError" in found["crashed"].splitlines()[-1]
 
 

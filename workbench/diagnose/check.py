@@ -46,6 +46,7 @@ TENS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)  # factors of a size for which no
 APART = 6.0  # units closer to each other than this factor are not told by size
 ALIKE = 0.9  # correlation above which two channels follow one course
 UNLIKE = 0.3  # and below which one does not explain the other
+PER_WEIGHT = 5  # samples for each weight of what inputs explain somehow
 RELATED = 0.05  # share of an output that its inputs explain somehow, above which it is theirs
 LEAVES = 0.1  # share of the record that a free run must last to be compared with
 WORST = 2.0  # what one output adds to the distance of a run at most
@@ -618,7 +619,11 @@ def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner, sli
         f" over the whole record and within short windows); {runner.told_until(e.t)}"
     )
     u = e[[name for name in _driving(plant, e) if np.ptp(e[name]) > 0.0]]
-    if max(_related(u, e[own.channels[i].name]) for i in own.counted) > RELATED:
+    related = [_related(u, e[own.channels[i].name]) for i in own.counted]
+    if None in related:  # what says nothing about the record says nothing against it
+        yield Note(own.file, names, f"{said}; and the record is too short to tell whether it moves with {inputs} at all")
+        return
+    if max(share for share in related if share is not None) > RELATED:
         yield Note(own.file, names, f"{said}; but it moves with {inputs}: another machine, or one of which the plant lacks much")
         return
     raise InputError(
@@ -628,10 +633,10 @@ def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner, sli
     )
 
 
-def _related(u: np.ndarray, y: np.ndarray) -> float:
+def _related(u: np.ndarray, y: np.ndarray) -> float | None:
     """Share of y (N,) that moving averages of inputs u (N, nu), and their products, explain of the half they are not fitted to.
 
-    A sensor without a sign, or a thrust of u^2, is even in what drives it.
+    A sensor without a sign, or a thrust of u^2, is even in what drives it. None where a half holds too few samples to fit them.
     """
     total = np.vstack([np.zeros(u.shape[1]), np.cumsum((u - u.mean(axis=0)) / u.std(axis=0), axis=0)])
     k = np.arange(1, len(u) + 1)
@@ -640,6 +645,8 @@ def _related(u: np.ndarray, y: np.ndarray) -> float:
     pairs = [means[:, i] * means[:, j] for i in range(means.shape[1]) for j in range(i, means.shape[1])]
     Psi = np.column_stack([np.ones(len(u)), means, *pairs])
     half, shares = len(u) // 2, []
+    if half < PER_WEIGHT * Psi.shape[1]:
+        return None
     for own, other in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
         spread = np.std(y[own]) or 1.0
         ridge = np.sqrt(len(Psi)) * 0.1 * np.eye(Psi.shape[1])

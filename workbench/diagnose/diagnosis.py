@@ -136,9 +136,9 @@ def diagnose(
     found = _by_free_runs(found, judge)
     progress("gains on held-out records")
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
-    objections = judge.objections(
-        "extended" if steps else "recalibrated", as_given(plant, dataset, drift=drift, threads=threads), model
-    )
+    if len(base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
+        given = as_given(plant, dataset, drift=False, threads=threads)
+    objections = judge.objections("extended" if steps else "recalibrated", given, model)
     kept = bool(objections) and not steps  # what names nothing must not bend parameters either
     causes = tuple(_cause(plant, s, model, judge.gained(s.before, s.after)) for s in steps)
     rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))

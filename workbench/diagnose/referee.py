@@ -22,6 +22,7 @@ from workbench.records import record
 
 SURE = 2.0  # standard errors
 FEWEST, ROUGH = 6, 0.2  # blocks, below which no standard error is known, and the share that counts there
+FAR = 5.0  # times that an error may be as large as another by chance, however few blocks make it so
 CORRELATED = 0.3  # autocorrelation up to which a block must reach
 LOSS = 0.0025  # share of the error by which a cause may raise it
 BETTER = 0.02  # share of the errors a second and the full run ahead by which a fit to free runs must be better
@@ -73,7 +74,12 @@ def changes(before: Held, after: Held) -> tuple[Change, ...]:
 
 
 def _sure(differences: Sequence[np.ndarray], old: float, new: float, least: int) -> bool:
-    """Whether the sum of all differences is beyond SURE standard errors, by blocks."""
+    """Whether the sum of all differences is beyond SURE standard errors, by blocks, or one error FAR larger than the other.
+
+    A run that leaves its record near the end does so in one block, whose size is its own standard error.
+    """
+    if max(old, new) > FAR * min(old, new):
+        return True
     length = max(5, least, *(2 * _correlated(d) for d in differences))
     blocks = np.concatenate([np.add.reduceat(d, np.arange(0, max(1, len(d) - length // 2), length)) for d in differences])
     if len(blocks) < FEWEST:

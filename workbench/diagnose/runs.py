@@ -65,15 +65,16 @@ class Runner:
         """Standard deviation (ny) of each output, 0 of what was not measured."""
         return np.std(np.nan_to_num(self.y), axis=0)
 
-    def whole(self, inputs: Sequence[np.ndarray], *, fitted: bool = True) -> np.ndarray:
+    def whole(self, inputs: Sequence[np.ndarray], *, fitted: bool = True, beginning: int | None = None) -> np.ndarray:
         """Outputs (R, N, ny) over the record under each inputs (N, nu); NaN once a run has left the plant's range.
 
-        From a fitted start, or from the plant's own: a channel in another unit spoils a fitted one.
+        From a start that is fitted to the first `beginning` samples (default: a tenth of the record), or from the plant's own: a
+        channel in another unit spoils a fitted one.
         """
         u = np.stack(inputs)
         if not fitted:
             return self._run(u, np.repeat(self.usual[None], len(u), axis=0))[1]
-        M = min(max(int(BEGINNING * len(self.u)), SHORTEST), len(self.u))
+        M = beginning or min(max(int(BEGINNING * len(self.u)), SHORTEST), len(self.u))
         y, guess = np.repeat(self.y[None, :M], len(u), axis=0), np.repeat(self._guess(0)[None], len(u), axis=0)
         return self._run(u, self._fitted(u[:, :M], y, guess))[1]
 

@@ -129,3 +129,11 @@ def test_a_sensor_without_a_sign_is_no_other_machine():
     e = wheel(7, start=0.0, load=0.0, count=4000)
     counted = replace(e, values=np.column_stack([e["u"], np.abs(e["w"])]))
     check(WHEEL, Dataset((counted,)))
+
+
+def test_a_record_that_is_too_short_to_tell_is_not_refused_for_it():
+    """Held-out runs of a counter without a sign are short: nothing is known for them, and nothing against them."""
+    e = wheel(9, start=0.0, load=0.0, count=100)
+    counted = replace(e, values=np.column_stack([e["u"], np.abs(e["w"])]))
+    (note,) = [n for n in check(WHEEL, Dataset((counted,))) if "follows none of w" in n.sentence]
+    assert "too short to tell whether it moves with u" in note.sentence

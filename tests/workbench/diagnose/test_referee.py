@@ -58,6 +58,14 @@ def test_a_difference_that_lasts_is_told():
     assert not harms((change,))  # full runs of phases and integrals harm no cause
 
 
+def test_a_run_that_leaves_its_record_near_the_end_is_worse_however_well_it_went_before():
+    """An arm that goes over the top once: nine tenths of the run are better than before, the rest is elsewhere."""
+    e = coloured(2, 20.0)
+    over = 0.3 * e + np.where(np.arange(N) < 0.97 * N, 0.0, 60.0 * np.arange(N) / N)
+    (change,) = changes(held(("full-run", e)), held(("full-run", over)))
+    assert worse((change,))
+
+
 def test_a_lost_run_is_worse_than_any_other_and_a_found_one_better():
     e = coloured(1, 1.0)
     lost = np.where(np.arange(N) > 3000, np.inf, e)
