@@ -17,6 +17,7 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 PROBES = 24
+REPEATS = 2.0  # waves that a record must go through: what does not come back is no ripple, it is bent over the angle
 PEAKS = 3  # what happens within a sample blurs the scan: the largest few are tried in earnest
 
 
@@ -74,11 +75,17 @@ def latent_push(predictor: Predictor, fit: Fit, entry: str, i: int) -> np.ndarra
     return out
 
 
-def scan_orders(predictor: Predictor, fit: Fit, entry: str, place: str, orders: np.ndarray) -> Scan:
-    """The order n of cos(n angle), sin(n angle) at a place that explains most, phases free in every record."""
+def scan_orders(predictor: Predictor, fit: Fit, entry: str, place: str, orders: np.ndarray) -> Scan | None:
+    """The order n of cos(n angle), sin(n angle) at a place that explains most, phases free in every record.
+
+    Of the orders that some record repeats; None where it repeats none: an arm that swings by a part of a turn.
+    """
     plant = predictor.plant
     column = len(plant.states) + list(plant.turning).index(place)
     angles = [turned(plant, place, predictor.corrected(i, fit.point)[:, column]) for i in range(len(predictor.records))]
+    orders = orders[orders * max(np.ptp(a) for a in angles) >= REPEATS * 2.0 * np.pi]
+    if not len(orders):
+        return None
     return _scan(predictor, fit, entry, [_over_samples(a, orders) for a in angles], orders, len(orders))
 
 

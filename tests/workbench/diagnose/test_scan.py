@@ -5,7 +5,7 @@ import pytest
 
 from tests.workbench.diagnose.cases import AXIS, axis_records, fitted
 from workbench.diagnose.kalman import response
-from workbench.diagnose.scan import PEAKS, Scan, latent_push, scan_frequencies, scan_orders
+from workbench.diagnose.scan import PEAKS, Scan, latent_push, scan_frequencies, scan_orders, turned
 
 ORDERS = np.arange(2.0, 25.0)
 
@@ -32,6 +32,18 @@ def test_the_order_that_was_put_in_is_found_over_the_angle_of_the_wheel(order):
     found = scan_orders(model.predictor, model.fit, "v", "slide", ORDERS)
     assert found.peaks[0] == order
     assert np.sort(found.statistics)[-2] < 0.5 * found.statistics.max()
+
+
+@pytest.mark.parametrize(("samples", "repeated"), [(600, True), (12, False)])
+def test_only_orders_that_a_record_goes_through_twice_are_looked_at(samples, repeated):
+    """An arm that swings by a part of a turn shows a bend over its angle, and no wave of order 4 is told from it."""
+    model = fitted(axis_records(3, force=25.0, samples=samples))
+    column = len(AXIS.states)
+    travel = max(np.ptp(turned(AXIS, "slide", model.predictor.corrected(i, model.fit.point)[:, column])) for i in range(2))
+    found = scan_orders(model.predictor, model.fit, "v", "slide", ORDERS)
+    twice = ORDERS[ORDERS * travel / (2 * np.pi) >= 2.0]
+    assert (found is not None) is repeated is (len(twice) > 0)
+    assert found is None or found.values.tolist() == twice.tolist()
 
 
 @pytest.mark.parametrize("frequency", [0.8, 3.3, 9.0])
