@@ -20,7 +20,7 @@ from workbench.diagnose.gains import errors
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import Calibrated, recalibrated, unknowns
 from workbench.diagnose.referee import Judge, as_given
-from workbench.diagnose.refit import Model
+from workbench.diagnose.refit import Model, lasting
 from workbench.errors import InputError, check_known
 from workbench.physics.plant import Parameter, Plant
 from workbench.records import field, record
@@ -84,7 +84,7 @@ class Pair:
 class Trajectory:
     """Outputs of a plant along a record, (N, ny): measured (NaN where not), predicted one step ahead, and simulated.
 
-    simulated: from the estimated `start` on, driven by the logged inputs alone; NaN once it has left the plant's range.
+    simulated: from the estimated `start` on, driven by the logged inputs alone. NaN once one has left the plant's range.
     """
 
     record: str
@@ -148,6 +148,7 @@ def calibrate(
         own = _with_values(opened, held)
         at = predictor(own, dataset)
         done = recalibrated(at, own=unknowns(at, names=[name for name in free if name not in held]))
+        lasting(Model(done.predictor, done.fit), plant.name)
         fitted = _fitted(opened, done, held)
         beyond = {f.name: _beyond(f, bounds[f.name]) for f in fitted if f.name in bounds and f.name not in held}
         worst = max(beyond, key=lambda name: beyond[name], default="")
@@ -280,10 +281,16 @@ def _trajectory(plant: Plant, one: Dataset) -> Trajectory:
     e, done = one.experiments[0], along(plant, one)
     found, start = done.predictor, done.fit.point.start[0]
     y = found.records[0].y
-    run = y - errors(found, done.fit.point, 0, "full-run")
-    lasts = np.logical_and.accumulate((np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) | ~np.isfinite(y), axis=0)
+    predicted, simulated = (_lasting(y, errors(found, done.fit.point, 0, horizon)) for horizon in ("one-step", "full-run"))
     by_name = dict(zip(plant.state_names, start.tolist(), strict=True))
-    return Trajectory(e.name, e.t, y, found.course(0).predicted, np.where(lasts, run, np.nan), by_name)
+    return Trajectory(e.name, e.t, y, predicted, simulated, by_name)
+
+
+def _lasting(y: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """What was predicted of y (N, ny), NaN from where it has left its range."""
+    run = y - error
+    lasts = np.logical_and.accumulate((np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) | ~np.isfinite(y), axis=0)
+    return np.where(lasts, run, np.nan)
 
 
 def gains(plant: Plant, before: Sequence[Trajectory], after: Sequence[Trajectory]) -> tuple[Gain, ...]:

@@ -31,12 +31,11 @@ from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
-from workbench.diagnose.referee import Judge, as_given, harms, helps
-from workbench.diagnose.refit import Model, is_late, refits, settled, shortlist, without
+from workbench.diagnose.referee import Judge, as_given, harms, helps, worse
+from workbench.diagnose.refit import Model, is_late, lasting, refits, settled, shortlist, without
 from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
 from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
-from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain
 from workbench.physics.plant import EffectSizes, Plant, Slot
 from workbench.records import record
@@ -56,10 +55,12 @@ NEARLY, FINALISTS = 0.1, 3  # share of the best refit's gain that a refit may mi
 ALIKE = 0.9  # share of a signature that another can mimic from which on both are fitted to convergence
 RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; BIC that their first fit may lie behind
 MOST = 3
+FREED = 3  # times that what an effect gains may turn out to be a better fit of all else
 MATTERS, MATTERS_ALONE = 0.01, 0.005  # share of an error that a further cause must take off; where nothing is left without a name
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
 ROUNDED, PLAY = "quantisation", "backlash"
+NONE = "would explain these records at a size that they do not tell from none"
 DIGITS = 1e-6  # relative, to which the values of a record tell a step
 
 
@@ -114,13 +115,7 @@ def diagnose(
     judge = Judge(held_out or dataset, held_out is not None)
     progress("recalibrating")
     given = as_given(plant, dataset, drift=drift, threads=threads)
-    base = _no_worse(given, _recalibrated(plant, dataset, drift, threads))
-    if not np.isfinite(base.deviance):
-        raise InputError(
-            "the simulation leaves every range along these records, however it is corrected",
-            file=plant.name,
-            mend="check the equation, the units, and the values of the parameters at the records' operating points",
-        )
+    base = lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name)
     found = _judged(_searched(base, np.inf if drift else 1.0 - HELPFUL, progress), judge, longer=not drift)
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or _forgiven(judge, found)):
@@ -250,7 +245,11 @@ def _by_free_runs(found: _Found, judge: Judge) -> _Found:
         return found
     if not found.steps:
         return replace(found, runs=model)
-    return replace(found, steps=tuple(replace(s, before=simulated(s.before) or s.before, after=model) for s in found.steps))
+    steps = tuple(replace(s, before=simulated(s.before) or s.before, after=model) for s in found.steps)
+    unsure = [s for s, run in zip(found.steps, steps, strict=True) if _none(run)]
+    if unsure:
+        return _by_free_runs(_dropped(found, min(unsure, key=lambda s: s.gain), NONE), judge)
+    return replace(found, steps=steps)
 
 
 def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Found:
@@ -261,7 +260,8 @@ def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Fou
     """
     plant = base.predictor.plant
     search = _Search([slot.key for slot in plant.slots], np.zeros(len(plant.slots)), most, progress)
-    steps, lesser = search.path(base), _Lesser(search.sizes)
+    base, steps = search.path(base)
+    lesser = search.lesser
     if len(steps) > 1:
         progress("dropping and swapping")
         steps = _pruned(base, _swapped(steps, lesser, most), lesser)
@@ -274,33 +274,49 @@ class _Search:
     """A greedy path through the catalogue; remembers the steps of its differences and the first screen."""
 
     def __init__(self, keys: Sequence[str], sizes: np.ndarray, most: float, progress: Callable[[str], None]):
-        self.keys, self.sizes, self.most, self.progress = list(dict.fromkeys(keys)), sizes, most, progress
+        self.keys, self.most, self.progress = list(dict.fromkeys(keys)), most, progress
+        self.lesser = _Lesser(sizes)
         self.tested: list[Signature] = []
         self.local: Local | None = None
 
-    def path(self, base: Model) -> list[Step]:
-        """One effect after the other, as long as something is found."""
+    def path(self, base: Model) -> tuple[Model, list[Step]]:
+        """One effect after the other, as long as something is found; and the base.
+
+        A model that is less likely than the one with an effect, freed of it again, was stuck: the effect has led its parameters
+        out, and counts for what it gains beside the better model.
+        """
         steps: list[Step] = []
+        freed = 0
         while len(steps) < MOST:
             model = steps[-1].after if steps else base
             self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
             found = self.screened(model)
             if not found or found[0].p_family > ALPHA:
                 break
-            step = _step(model, found, self.sizes, steps, self.most, self.progress)
-            if isinstance(step, Step):
-                steps.append(step)
-                continue
-            self.local = step
-            break
-        return steps
+            step = _step(model, found, self.lesser.sizes, steps, self.most, self.progress)
+            if not isinstance(step, Step):
+                self.local = step
+                break
+            less = self.lesser.of(step.after, step.key)
+            stuck = less.bic < model.bic - WORTH
+            before = less if stuck else model
+            if stuck and steps:
+                steps[-1] = replace(steps[-1], after=before)
+            elif stuck:
+                base = before
+            gain = before.bic - step.after.bic
+            if gain >= WORTH:
+                steps.append(replace(step, before=before, gain=gain))
+            elif (freed := freed + 1) > FREED:
+                break
+        return base, steps
 
     def screened(self, model: Model) -> list[Score]:
         """Score tests of every effect that the model does not hold yet."""
         first = not self.tested
         if first:
-            self.sizes = small_sizes(model.predictor, model.fit)
-        found = _screened(model, [k for k in self.keys if k not in model.keys], self.sizes, columns=first)
+            self.lesser = _Lesser(small_sizes(model.predictor, model.fit))
+        found = _screened(model, [k for k in self.keys if k not in model.keys], self.lesser.sizes, columns=first)
         if first:
             self.tested = [min(s.all, key=_most_shown) for s in found]
         return found
@@ -352,13 +368,18 @@ def _step(
     finals += [(final(t, s.key, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
     finals.sort(key=lambda pair: pair[0].bic)
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
-    rest = (pair for pair in trials[1:] if pair[1].key not in near)
-    while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(rest, None)):
+    others_of_short = (pair for pair in trials[1:] if pair[1].key not in near)
+    while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(others_of_short, None)):
         # what came first holds in some records only: another cause may hold in all
         near.add(pair[1].key)
         tried = final(pair[0], pair[1].key, first.predictor.noise)
         worthy += [(tried, pair[1])] if _worthy(model, tried, pair[1].key, steps, most) else []
     held = [(m, s) for m, s in worthy if left_out(model, m).holds]
+    if not worthy and np.isfinite(most):
+        # what the likelihood puts first helps nothing a second ahead: what it puts behind may
+        tried, significant = {s.key for s in short}, [s for s in found if s.p_family < ALPHA]
+        if rest := [s for s in significant if s.key not in tried]:
+            return _step(model, rest, sizes, steps, most, progress)
     if not held:
         told = (_local(model, m, s.key) for m, s in worthy if model.bic - m.bic > LOCAL or s.p_family < LEFT_OVER)
         return next(told, None)
@@ -508,23 +529,27 @@ def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
     effect that explains less than the strongest term without a name is not told from them. Where its place in the machine is
     right, what is said of its size is not. longer: causes are judged a second ahead, not by the likelihood one step ahead.
     """
-    steps, left, refused = list(found.steps), found.left, []
-    while steps:
-        strongest = max((x.statistic for x in left if x.p_family < ALPHA), default=0.0)
-        first = max(steps, key=lambda step: step.gain)
-        objected = [(step, why) for step in steps if (why := _objection(step, step is first, strongest, judge, longer))]
+    while found.steps:
+        strongest = max((x.statistic for x in found.left if x.p_family < ALPHA), default=0.0)
+        first = max(found.steps, key=lambda step: step.gain)
+        objected = [(step, why) for step in found.steps if (why := _objection(step, step is first, strongest, judge, longer))]
         if not objected:
             break
-        weakest, why = min(objected, key=lambda pair: pair[0].gain)
-        refused.append(Refused(weakest.key, why))
-        rest = [replace(s, after=weakest.before) for s in steps if s is not weakest]
-        steps = _pruned(found.base, rest, found.lesser) if rest else []
-        left = tuple(remainder(steps[-1].after if steps else found.base))
-    found = replace(found, steps=tuple(steps), left=left, refused=tuple(refused))
-    if found.finding is Finding.UNKNOWN and steps:  # what does not hold everywhere beside so much that is left is no name
-        refused += [Refused(s.key, "would explain part of it, but not with one size in all records") for s in steps]
-        found = replace(found, steps=(), left=tuple(remainder(found.base)), refused=tuple(refused))
+        found = _dropped(found, *min(objected, key=lambda pair: pair[0].gain))
+    if found.finding is Finding.UNKNOWN and found.steps:
+        # what does not hold everywhere beside so much that is left is no name
+        why = "would explain part of it, but not with one size in all records"
+        refused = (*found.refused, *(Refused(s.key, why) for s in found.steps))
+        found = replace(found, steps=(), left=tuple(remainder(found.base)), refused=refused)
     return found
+
+
+def _dropped(found: _Found, step: Step, why: str) -> _Found:
+    """Without a step that is no cause; the others are fitted again."""
+    rest = [replace(s, after=step.before) for s in found.steps if s is not step]
+    steps = _pruned(found.base, rest, found.lesser) if rest else []
+    left = remainder(steps[-1].after if steps else found.base)
+    return replace(found, steps=tuple(steps), left=tuple(left), refused=(*found.refused, Refused(step.key, why)))
 
 
 def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: bool) -> str:
@@ -533,9 +558,10 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
     if step.gain < strongest:
         return "would explain part of it, but more is left beside it than it explains"
     if _none(step):
-        return "would explain these records at a size that they do not tell from none"
+        return NONE
     ahead_of = any(c.sure and c.share > 0.0 for c in found if c.horizon == "one-second")
-    if not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0:
+    surprised = not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0
+    if surprised and not _helps_free_runs(step, judge):
         return "would explain these records, but predicts the held-out ones no better: something else is behind it"
     if first:
         return ""
@@ -631,6 +657,17 @@ def _pruned(base: Model, steps: list[Step], lesser: _Lesser) -> list[Step]:
             ]
         model, steps = less[weakest], [s for s in steps if s.key != weakest]
     return [replace(steps[0], before=base, after=model, gain=base.bic - model.bic, stable=stability(model, steps[0].key))]
+
+
+def _helps_free_runs(step: Step, judge: Judge) -> bool:
+    """Whether the effect, fitted to free runs, takes off the errors a second and the full run ahead what counts.
+
+    One step ahead a filter with other parameters makes up for much that a free run shows.
+    """
+    before, after = simulated(step.before), simulated(step.after)
+    if before is None or after is None:
+        return False
+    return judge.longer(before, after) < 1.0 - LONG_RUN and not worse(judge.between(before, after))
 
 
 def _none(step: Step) -> bool:

@@ -4,12 +4,13 @@
 
 The gain comes from one pass along the records and is then held while parameters p and effects eta move: predictions for many
 hypotheses run side by side on the compiled step. Process noise enters as a rate of change on the states named in `entries`,
-constant over each sample: torques on shafts, rates of tension. On states that turn or slide it has a white and a coloured part,
-and the filter estimates the coloured one, d+ = a d + w: a torque that comes and goes is no missing physics. Errors are whitened,
+constant over each sample: torques on shafts, what drives a state besides its input, rates of tension. But for tensions it has a
+white and a coloured part, and the filter estimates the coloured one, d+ = a d + w: a torque that comes and goes is no missing
+physics. Errors are whitened,
 W_k e_k with W S W' = I.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
@@ -29,6 +30,7 @@ UNTOLD = 5  # samples at the start of a record that do not count: what was comma
 VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in all records: of a deviance nothing that counts
 LOOK = 600  # samples of a record on which that is looked at
 RAN_AWAY = 1e9  # error of a run that left every range
+NEAR = 0.05  # of the size that a state goes through: with less of it, it rests near 0
 STEP = 1e-6  # of a state's scale, for differences of the flow
 
 
@@ -373,15 +375,14 @@ def _smooth(plant: Plant, eta: np.ndarray) -> np.ndarray:
 def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int = 1) -> Predictor:
     """A predictor of `plant` along the records at its nominal parameters, with gains from its stated noise.
 
-    drift: whether torques may have a coloured part; without, whatever comes and goes is to be explained.
+    drift: whether what nobody logged may have a coloured part; without, whatever comes and goes is to be explained.
     """
     plant = plant.sampled(dataset.dt, file=", ".join(dataset.names))
     records = tuple(_prepared(plant, e) for e in dataset)
     eta = np.repeat(plant.effect_vector()[None], len(records), axis=0)
     point = Point(plant.nominal, eta, np.array([r.start for r in records]))
-    entries = _entries(plant)
-    noise = _first_noise(plant, dataset, entries)
-    noise = noise if drift else replace(noise, drift=np.empty(0))
+    entries, coloured = _entries(plant)
+    noise = _first_noise(plant, dataset, entries, coloured if drift else 0)
     made = Predictor(plant, records, entries, noise, noise, plant.substeps, point, threads=threads)
     return _first_gains(made)
 
@@ -413,42 +414,94 @@ def _prepared(plant: Plant, e: Experiment) -> Record:
         )
     u = np.column_stack([e[name] if name in e.names else np.zeros(len(e)) for name in plant.input_names])
     y = np.column_stack([e[name] if name in e.names else np.full(len(e), np.nan) for name in plant.output_names])
-    start, scale = start_of(plant, y[0], u[0])
+    start, scale = start_of(plant, y, u)
     return Record(e.name, u, y, start, scale)
 
 
-def start_of(plant: Plant, y: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """States at the first sample and how far off they may be: the plant's own start, corrected by what was measured then."""
+def start_of(plant: Plant, y: np.ndarray, u: np.ndarray, k: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """States at sample k of outputs y (N, ny) and inputs u (N, nu), and how far off they may be.
+
+    The plant's own start, corrected by what was measured then. A state that rests near 0 may be off by what moves an output as
+    far as the record goes.
+    """
     x, _ = plant.equilibrium()
-    scale = 0.3 * np.abs(x) + np.where(x == 0.0, 1.0, 0.0)
-    seen = np.flatnonzero(np.isfinite(y))
+    seen = np.flatnonzero(np.isfinite(y[k]))
+    scale, natural = 0.3 * np.abs(x), _natural(plant, x, u[k], _spread(y)[seen], _spread(u), seen)
+    scale = np.where(scale > NEAR * natural, scale, natural)
     noise = np.array([plant.noise.get(name, 0.0) for name in plant.output_names])
     for _ in range(3):
-        C = plant.linearize(x, u)[2][seen]
-        z = np.array(plant.output(x, plant.nominal, u), dtype=float)[seen]
+        C = plant.linearize(x, u[k])[2][seen]
+        z = np.array(plant.output(x, plant.nominal, u[k]), dtype=float)[seen]
         R = np.diag((1e-3 * np.abs(C) @ scale) ** 2 + noise[seen] ** 2)
         P = np.diag(scale**2)
-        x = x + P @ C.T @ np.linalg.solve(C @ P @ C.T + R, y[seen] - z)
+        x = x + P @ C.T @ np.linalg.solve(C @ P @ C.T + R, y[k, seen] - z)
     return x, scale
 
 
-def _entries(plant: Plant) -> tuple[str, ...]:
-    """States whose rate of change carries what nobody logged: those that turn or slide, and the tensions of spans.
+def _spread(signals: np.ndarray) -> np.ndarray:
+    """From the lowest to the highest value of each signal, (n) of (N, n); of one that stands still its size."""
+    own = [c[np.isfinite(c)] for c in signals.T]
+    return np.array([(np.ptp(c) or np.abs(c[0])) if len(c) else 0.0 for c in own])
 
-    Where a plant has no such port, every state that an input moves directly. What the plant itself states goes before all that.
+
+def _natural(plant: Plant, x: np.ndarray, u: np.ndarray, outputs: np.ndarray, inputs: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """The change (nx) of each state that moves a measured output by its spread within the fastest time constant.
+
+    Of a state that no output shows, a gap that is open, what the spreads of the inputs make of it within that time.
     """
-    if plant.process:
-        return tuple(plant.process)
-    named = [port.speed for port in plant.ports if hasattr(port, "speed")]
-    named += [port.tension for port in plant.ports if hasattr(port, "tension")]
-    if not named:
-        x, u = plant.equilibrium()
-        moved = np.abs(plant.linearize(x, u)[1]).sum(axis=1) > 0.0
-        named = [name for name, is_moved in zip(plant.state_names, moved, strict=True) if is_moved]
-    return tuple(dict.fromkeys(named))
+    A, B, C = plant.linearize(x, u)[:3]
+    within, C = _fastest(A), C[seen]
+    shown = np.abs(np.array([C @ M for M in _powers(within * A)])).max(axis=0)
+    with np.errstate(divide="ignore"):
+        found = (np.maximum(outputs, 1e-300)[:, None] / shown).min(axis=0, initial=np.inf)
+    moved = within * _first(np.abs(M @ B) @ inputs for M in _powers(within * A))
+    return np.where(np.isfinite(found), found, np.where(moved > 0.0, moved, 1.0))
 
 
-def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str]) -> Noise:
+def _powers(A: np.ndarray) -> list[np.ndarray]:
+    """I, A, .. A^(n - 1)."""
+    return [np.linalg.matrix_power(A, k) for k in range(len(A))]
+
+
+def _first(values: Iterable[np.ndarray]) -> np.ndarray:
+    """Of each entry the first that is not 0."""
+    found = 0.0
+    for v in values:
+        found = np.where(found > 0.0, found, v)
+    return np.asarray(found)
+
+
+def _fastest(A: np.ndarray) -> float:
+    """The fastest time constant [s] of x' = A x; 1 s where all is integrals, or a root at 0 has no slope."""
+    rate = float(np.abs(np.linalg.eigvals(A)).max()) if np.isfinite(A).all() else 0.0
+    return 1.0 / rate if rate > 0.0 else 1.0
+
+
+def _entries(plant: Plant) -> tuple[tuple[str, ...], int]:
+    """States whose rate of change carries what nobody logged, those first that carry a coloured part, and how many these are.
+
+    States that turn or slide, and all others that an input moves directly, for what nobody logged enters where inputs do: a
+    valve that leaks, a fan that the mains disturb; then, white only, the tensions of spans. What the plant itself states goes
+    before all that. An equation that takes states from sample to sample has no rates, and nothing coloured.
+    """
+    turning = [port.speed for port in plant.ports if hasattr(port, "speed")]
+    spans = [port.tension for port in plant.ports if hasattr(port, "tension")]
+    x, u = plant.equilibrium()
+    moved = np.abs(plant.linearize(x, u)[1]).sum(axis=1) > 0.0
+    driven = [name for name, is_moved in zip(plant.state_names, moved, strict=True) if is_moved and name not in spans]
+    coloured = [] if plant.discrete else [*turning, *driven]
+    named = dict.fromkeys(plant.process or [*turning, *driven, *spans])
+    first = [name for name in named if name in coloured]
+    return (*first, *(name for name in named if name not in first)), len(first)
+
+
+def _pushed(plant: Plant, inputs: np.ndarray) -> np.ndarray:
+    """Rates of change (nx) that `inputs` give the states: directly, or through others within the fastest time constant."""
+    A, B = plant.linearize(*plant.equilibrium())[:2]
+    return _first(np.abs(M @ B) @ inputs for M in _powers(_fastest(A) * A))
+
+
+def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str], coloured: int) -> Noise:
     """The plant's stated noise, or an estimate from the records; pushes as stated, or as a share of what the inputs do."""
     measured = []
     for channel in plant.outputs:
@@ -457,13 +510,9 @@ def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str]) -> Nois
         spread = max((float(np.std(e[channel.name])) for e in own), default=1.0)
         estimate = measurement_noise(Dataset(tuple(own)), channel.name, plant.commanded) if own and not stated else stated
         measured.append(max(estimate, 1e-6 * spread, 1e-12))
-    x, u = plant.equilibrium()
-    B = np.abs(plant.linearize(x, u)[1])
     spread = np.array([max(float(np.std(e[n])) if n in e.names else 0.0 for e in dataset) for n in plant.input_names])
     stated = np.array([plant.disturbance.get(n, 0.0) for n in plant.input_names])
-    push = B @ np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)
-    process = [plant.process.get(name, max(push[plant.state_names.index(name)], 1e-3 * push.max(), 1e-12)) for name in entries]
-    turning = set(plant.turning.values())
+    push = dict(zip(plant.state_names, _pushed(plant, np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)), strict=True))
+    process = [plant.process.get(name, max(push[name], 1e-12)) for name in entries]
     white = np.array(process)
-    drift = np.array([0.1 * level for name, level in zip(entries, white, strict=True) if name in turning])
-    return Noise(np.array(measured), white, drift)
+    return Noise(np.array(measured), white, 0.1 * white[:coloured])

@@ -14,6 +14,7 @@ from workbench.diagnose.predictor import Noise, Predictor
 from workbench.diagnose.profile import dated
 from workbench.diagnose.screen import Score, Signature, dated_variants, signatures
 from workbench.diagnose.tuning import tuned
+from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain
 from workbench.records import record
 
@@ -80,6 +81,18 @@ class Model:
     def bic(self) -> float:
         samples = sum(len(r) for r in self.predictor.records)
         return self.deviance + self.numbers * float(np.log(samples))
+
+
+def lasting(model: Model, plant: str) -> Model:
+    """The model as it is. Raises InputError, which names the plant, where its runs along the records are lost or tell nothing."""
+    fit = model.fit
+    if np.isfinite(model.deviance) and np.isfinite(fit.z).all() and np.isfinite(fit.information).all():
+        return model
+    raise InputError(
+        "the simulation leaves every range along these records, however it is corrected",
+        file=plant,
+        mend="check the equation, the units, and the values of the parameters at the records' operating points",
+    )
 
 
 def fitted_shapes(plant, key: str) -> tuple[int, ...]:

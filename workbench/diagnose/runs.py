@@ -141,7 +141,7 @@ class Runner:
         """States (nx) in the light of sample k."""
         x, _ = self.plant.equilibrium()
         try:
-            found = start_of(self.plant, self.y[k], self.u[k])[0]
+            found = start_of(self.plant, self.y, self.u, k)[0]
         except (np.linalg.LinAlgError, InputError):  # a root at 0 has no slope, an output without noise no information
             return x
         return found if np.isfinite(found).all() else x

@@ -70,19 +70,25 @@ def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> N
         slope *= np.append(expected**2 * np.exp(z[:-1]), a * dt / levels.memory)
         return float(total + off @ off), (slope + 2.0 * off / width) * unit
 
-    # from small pushes that fade fast nothing leads to larger ones that last
-    start = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), np.log(predictor.noise.memory))
-    x = np.clip(start if again else np.where(is_push, np.maximum(start, middle), start), *bounds.T) / unit
-    for _ in range(REACHES):
-        # a step to where nothing is defined would end a line search
-        near = np.clip(bounds / unit[:, None], (x - REACH / unit)[:, None], (x + REACH / unit)[:, None])
-        began = cost(x)[0]
-        options = {"ftol": ENOUGH / max(abs(began), 1.0), "maxiter": 60}
-        found = minimize(cost, x, jac=True, method="L-BFGS-B", bounds=near, options=options)
-        x = found.x
-        if began - found.fun < AGAIN:
-            break
-    return noise(x * unit)
+    def searched(start: np.ndarray) -> tuple[float, np.ndarray]:
+        """Lowest cost, and where, by way of a start."""
+        x = np.clip(start, *bounds.T) / unit
+        for _ in range(REACHES):
+            # a step to where nothing is defined would end a line search
+            near = np.clip(bounds / unit[:, None], (x - REACH / unit)[:, None], (x + REACH / unit)[:, None])
+            began = cost(x)[0]
+            options = {"ftol": ENOUGH / max(abs(began), 1.0), "maxiter": 60}
+            found = minimize(cost, x, jac=True, method="L-BFGS-B", bounds=near, options=options)
+            x = found.x
+            if began - found.fun < AGAIN:
+                break
+        return cost(x)[0], x
+
+    at = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), np.log(predictor.noise.memory))
+    # from small pushes that fade fast nothing leads to larger ones that last; and levels that a wrong trajectory has driven up
+    # may not come down again on their own
+    starts = [at] if again else [np.where(is_push, np.maximum(at, middle), at), middle]
+    return noise(min(map(searched, starts), key=lambda found: found[0])[1] * unit)
 
 
 def _levels(noise: Noise) -> np.ndarray:

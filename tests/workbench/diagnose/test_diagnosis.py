@@ -130,7 +130,7 @@ def test_of_friction_and_a_tilt_each_is_found_and_the_tilt_ties_with_the_offset_
     greedy, path = [], diagnosis._Search.path
     monkeypatch.setattr(diagnosis._Search, "path", lambda search, base: greedy.append(path(search, base)) or greedy[-1])
     found = diagnose(ROBOT, robot_records(seed, {"coulomb@rail": {"level": 0.3}, "rail-tilt@rail": {"level": 0.3}}))
-    assert greedy[0][0].key == "asymmetric-friction@rail"
+    assert greedy[0][1][0].key == "asymmetric-friction@rail"
     named = {c.key: c for c in found.causes}
     assert named["coulomb@rail"].parameters["level"].value == pytest.approx(0.3, rel=0.05)
     (other,) = (c for c in found.causes if c.effect != "coulomb")

@@ -66,7 +66,7 @@ def test_the_covariance_is_the_spread_of_the_estimate_over_truths_drawn_from_the
         made = made.regained(fit.point, noise())
         fit = gauss_newton(made, own, fit.z, NONE, rounds=4, enough=1e-3)
         keep = [0, 1, 3]  # masses, friction and starting speed; the position of the start has no prior worth the name
-        d = fit.z[keep] - [*truth, v0 - made.records[0].start[1]]
+        d = fit.z[keep] - [*truth, (v0 - made.records[0].start[1]) / made.records[0].scale[1]]
         distances.append(d @ np.linalg.solve(fit.covariance[np.ix_(keep, keep)], d))
         shifts.append(d / np.sqrt(np.diag(fit.covariance)[keep]))
     low, high = chi2.ppf([5e-4, 1 - 5e-4], 3 * n)

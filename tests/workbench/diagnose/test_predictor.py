@@ -160,7 +160,7 @@ def test_process_noise_enters_where_something_slides_or_where_an_input_acts():
     bare = replace(AXIS, ports=(), equation=lambda x, u, p, at: {"q": x.v, "v": (u.F - p.Fv * x.v) / p.M})
     from workbench.diagnose.predictor import _entries
 
-    assert _entries(bare) == ("v",)
+    assert _entries(bare) == (("v",), 1)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 8])
@@ -238,4 +238,5 @@ def test_the_tension_of_a_span_is_pushed_by_what_nobody_logged_whatever_its_plac
     t = 0.01 * np.arange(200)
     values = np.column_stack([np.sin(t), np.zeros(200)])
     own = Dataset((Experiment("r", t, (Channel("F", "N", "input"), Channel("T", "N", "output")), values, 0.01),))
-    assert predictor(belt("web"), own).entries == predictor(belt("T"), own).entries == ("T",)
+    assert predictor(belt("web"), own).entries == predictor(belt("T"), own).entries == ("v", "T")
+    assert len(predictor(belt("web"), own).noise.drift) == 1  # of what the input drives, not of the tension

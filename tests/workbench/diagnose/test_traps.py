@@ -9,6 +9,7 @@ from tests.workbench.diagnose.cases import AXIS, READING, ROBOT, axis_by_hand, a
 from workbench.data import Dataset
 from workbench.diagnose.diagnosis import ALPHA, WORTH, diagnose
 from workbench.diagnose.fit import gauss_newton
+from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Predictor, predictor
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.refit import Model, refit, settled
@@ -100,7 +101,8 @@ def test_trap_3_noise_levels_tuned_once_more_are_worth_less_than_a_cause():
 )
 def test_trap_4_limits_lags_and_delays_are_found_from_the_error_they_leave_and_not_from_a_linear_step(key, name, size):
     model = fitted(robot_records(3, {key: {name: size}}))
-    found = settled(refitted(model, key), small_sizes(model.predictor, model.fit))
+    sizes = small_sizes(model.predictor, model.fit)
+    found = timed(model, settled(refitted(model, key), sizes), key, sizes).model
     slot = found.terms[0].sizes[0]
     assert found.fit.point.eta[0, slot] == pytest.approx(size, rel=0.1)
     assert model.deviance - found.deviance > 100.0
