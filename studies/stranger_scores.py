@@ -65,6 +65,8 @@ def outcome(row: Row) -> Outcome:
         return Outcome.INCOMPLETE
     if wrong and verdict != "unknown":
         return Outcome.WRONG
+    if row["kind"] == "nothing" and verdict == "named":  # the quantum of the logger, which is there
+        return Outcome.RIGHT
     if row["kind"] in ("nothing", "outside"):
         expected = "nothing" if row["kind"] == "nothing" else "unknown"
         return Outcome.RIGHT if verdict == expected else Outcome.UNKNOWN if verdict == "unknown" else Outcome.MISSED

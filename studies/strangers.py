@@ -34,7 +34,7 @@ Say = Callable[[str], None]
 
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 400, 28
-LAYOUT = 2  # of a row: rows of another layout are not counted with these
+LAYOUT = 3  # of a row: rows of another layout are not counted with these
 
 
 TARGETS = (

@@ -361,7 +361,14 @@ def _limits(bench: _Bench, log: Log, keys: list[str], seed: int) -> dict[str, tu
     rivals = [_tried(_maker(bench, log, key, [seed, 100 + k])(RIVAL, 0.0)) for k, key in enumerate(others)]
     with np.errstate(all="ignore"):
         found = limits(s.machine, s.numbers, log, s.dt, tried, s.seen, rivals)
+    found |= {key: _rounding(s, key) / largest(s, log, key) for key in keys if key.startswith("quantisation@")}
     return {key: (found[key], makers[key]) for key in keys}
+
+
+def _rounding(s: Setting, key: str) -> float:
+    """The step whose variance, step^2 / 12, is a quarter of that of the other noise: rounding is noise, it moves nothing."""
+    i = s.machine.plant.output_names.index(key.partition("@")[2])
+    return float(np.sqrt(3.0 * (s.noise[i] ** 2 + s.resolution[i] ** 2 / 12.0)))
 
 
 def _maker(bench: _Bench, log: Log, key: str, seed: list[int]) -> Any:

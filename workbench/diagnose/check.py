@@ -48,6 +48,8 @@ ALIKE = 0.9  # correlation above which two channels follow one course
 UNLIKE = 0.3  # and below which one does not explain the other
 PER_WEIGHT = 5  # samples for each weight of what inputs explain somehow
 RELATED = 0.05  # share of an output that its inputs explain somehow, above which it is theirs
+PUSHED, PAST, STRIDES = 0.05, 4, (1, 4, 16)  # the same of its errors from its own past; samples of that, blocks of samples
+FOLLOWED = 0.2  # distance up to which a plant follows a record as it is
 LEAVES = 0.1  # share of the record that a free run must last to be compared with
 WORST = 2.0  # what one output adds to the distance of a run at most
 SLOW = 40  # moving averages over a record: its length by this number
@@ -304,10 +306,13 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
         yield Note(e.name, "", f"a free run of {plant.name} leaves its range after {len(own.y) * e.dt:g} s")
     guesses = _guesses(plant, own, [Guess((t.slip,), run.away) for t, run in zip(trials[1:], others, strict=True) if t.slip])
     if any(slip.sure for guess in guesses for slip in guess.slips):
-        sure = [guess for guess in guesses if _holds_in_windows(plant, e, guess)]
+        # what follows as it is has no inputs exchanged: missing physics may favour the other way round
+        follows = own.away <= FOLLOWED and any(slip.exchanged for guess in guesses for slip in guess.slips)
+        clear = [guess for guess in guesses if not follows or not any(slip.exchanged for slip in guess.slips)]
+        sure = [guess for guess in clear if _holds_in_windows(plant, e, guess)]
         if sure:
             raise _slipped(e.name, guesses if len(sure) == len(guesses) else sure)
-        yield _unsure(e.name, guesses)
+        yield _unsure(e.name, guesses, follows)
     elif guesses:
         yield _odd(e.name, guesses)
     _check_limits(plant, e, own.channels)
@@ -352,10 +357,14 @@ def _mended(e: Experiment, slips: Sequence[Slip]) -> Experiment:
     return replace(e, values=values)
 
 
-def _unsure(file: str, guesses: Sequence[Guess]) -> Note:
-    """What a free run of the whole record says and runs of its windows do not."""
+def _unsure(file: str, guesses: Sequence[Guess], follows: bool) -> Note:
+    """What a free run of the whole record says, where runs of its windows do not, or where the plant follows it as it is."""
     said = _slipped(file, guesses)
-    doubt = "but only over the whole record: within short windows it does not; a start or a parameter may do this, too"
+    doubt = (
+        "but it follows the record as it is, too: missing physics may favour the other way round"
+        if follows
+        else "but only over the whole record: within short windows it does not; a start or a parameter may do this, too"
+    )
     return Note(file, said.channel or "", f"{said.problem}, {doubt}; or else {said.mend}")
 
 
@@ -623,7 +632,8 @@ def _unexplained(plant: Plant, e: Experiment, own: Compared, runner: Runner, sli
     if None in related:  # what says nothing about the record says nothing against it
         yield Note(own.file, names, f"{said}; and the record is too short to tell whether it moves with {inputs} at all")
         return
-    if max(share for share in related if share is not None) > RELATED:
+    pushed = max(_pushes(u, e[own.channels[i].name]) for i in own.counted)
+    if max(share for share in related if share is not None) > RELATED or pushed > PUSHED:
         yield Note(own.file, names, f"{said}; but it moves with {inputs}: another machine, or one of which the plant lacks much")
         return
     raise InputError(
@@ -654,6 +664,30 @@ def _related(u: np.ndarray, y: np.ndarray) -> float | None:
         predicted = spread * Psi[other] @ np.linalg.lstsq(np.vstack([Psi[own], ridge]), aim, rcond=None)[0]
         shares.append(np.sign(c := likeness(y[other], predicted).correlation) * c**2)
     return float(min(shares))
+
+
+def _pushes(u: np.ndarray, y: np.ndarray) -> float:
+    """Share of the errors of y (N,), predicted from its own past, that inputs u (N, nu) take off in the half not fitted to.
+
+    What balances a pendulum, or fills a tank, moves its rate: averages of it say nothing of where that is.
+    """
+    shares = [0.0]
+    for stride in STRIDES:
+        n = len(y) // stride
+        own, by = y[: n * stride].reshape(n, stride).mean(axis=1), u[: n * stride].reshape(n, stride, -1).mean(axis=1)
+        past = np.column_stack([own[PAST - j : n - j] for j in range(1, PAST + 1)] + [np.ones(n - PAST)])
+        both = np.hstack([past, *(by[PAST - j : n - j] for j in range(PAST + 1))])
+        half = (n - PAST) // 2
+        if half < PER_WEIGHT * both.shape[1]:
+            break
+        for fitted, other in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
+            aim = own[PAST:]
+            left = [
+                float(np.sum((aim[other] - Psi[other] @ np.linalg.lstsq(Psi[fitted], aim[fitted], rcond=None)[0]) ** 2))
+                for Psi in (past, both)
+            ]
+            shares.append(1.0 - left[1] / left[0] if left[0] > 0.0 else 0.0)
+    return max(shares)
 
 
 def _peaks(plant: Plant, e: Experiment) -> Iterator[Trial]:

@@ -29,6 +29,7 @@ FEWEST = 3  # integrator steps a sample: a sensor that lags sees the output as a
 UNTOLD = 5  # samples at the start of a record that do not count: what was commanded before them may still be under way
 VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in all records: of a deviance nothing that counts
 LOOK = 600  # samples of a record on which that is looked at
+RAISED, RAISES = 4.0, 6  # factor of pushes where a filter loses a record, and how often
 RAN_AWAY = 1e9  # error of a run that left every range
 NEAR = 0.05  # of the size that a state goes through: with less of it, it rests near 0
 STEP = 1e-6  # of a state's scale, for differences of the flow
@@ -389,6 +390,10 @@ def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: in
 
 def _first_gains(made: Predictor) -> Predictor:
     """Gains from the linearization at the start, held; then along the trajectories that these give."""
+    return kept(_begun(made)).coarser().regained(made.point)
+
+
+def _begun(made: Predictor) -> Predictor:
     lines = []
     for i, r in enumerate(made.records):
         short = replace(
@@ -398,8 +403,31 @@ def _first_gains(made: Predictor) -> Predictor:
         F, G, H = (np.repeat(M[:1], len(r), axis=0) for M in (line.F, line.G, line.H))
         lines.append(Linearization(F, G, H, np.isfinite(r.seen)))
     passes = tuple(gains(line, made.noise.pushes, made.noise.measurement) for line in lines)
-    made = replace(made, lines=tuple(lines), passes=passes, carried=made._carried()).regained(made.point)
-    return made.coarser().regained(made.point)
+    return replace(made, lines=tuple(lines), passes=passes, carried=made._carried()).regained(made.point)
+
+
+def kept(made: Predictor) -> Predictor:
+    """The predictor with its pushes raised until its filter stays with the records; as it is where no filter does.
+
+    An unstable plant that is off at the start, or that lacks something, is lost by a filter that trusts it.
+    """
+    tried = made
+    for _ in range(RAISES):
+        if not _lost(tried):
+            return tried
+        noise = replace(tried.noise, process=RAISED * tried.noise.process, drift=RAISED * tried.noise.drift)
+        tried = _begun(replace(made, noise=noise, passes=(), lines=()))
+    return made if _lost(tried) else tried
+
+
+def _lost(made: Predictor) -> bool:
+    """Whether the errors one step ahead of some output are larger than all that it does."""
+    at = made.point
+    for i, r in enumerate(made.records):
+        e = made.errors(i, at.p[None], at.eta[i][None], at.start[i][None], white=False)[0]
+        if not np.all(np.sqrt(np.mean(e**2, axis=0)) <= _spread(r.y) + made.expected.measurement):
+            return True
+    return False
 
 
 def _prepared(plant: Plant, e: Experiment) -> Record:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.diagnose.fit import Fit, Term, Unknowns, gauss_newton
-from workbench.diagnose.predictor import Predictor
+from workbench.diagnose.predictor import Predictor, kept
 from workbench.diagnose.tuning import tuned
 from workbench.errors import check_known
 from workbench.records import record
@@ -63,6 +63,6 @@ def recalibrated(
         fit = gauss_newton(predictor, own, z, sizes, rounds=2, enough=2.0)
         z = fit.z
         predictor = predictor.regained(fit.point)
-        predictor = predictor.with_noise(tuned(predictor)).coarser()
+        predictor = kept(predictor.with_noise(tuned(predictor))).coarser()
     fit = gauss_newton(predictor, own, z, sizes, rounds=4)
     return Calibrated(replace(predictor, point=fit.point), fit)
