@@ -155,6 +155,7 @@ def diagnose(
         notes=(
             *notes,
             *([str(found.local)] if found.local else []),
+            *([str(found.unresolved)] if found.unresolved and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) else []),
             *map(str, found.refused),
             *_exchanged(steps),
             *(f"the plant keeps its own parameters: {objection}" for objection in objections if kept),
@@ -190,6 +191,17 @@ class Refused:
 
 
 @record
+class Unresolved:
+    """An effect that shows beside what was found, but that no size explains; statistic: what it seemed to explain."""
+
+    key: str
+    statistic: float
+
+    def __str__(self) -> str:
+        return f"{self.key} shows in these records, but no size of it explains them: something like it is missing"
+
+
+@record
 class _Found:
     """What a search found: the base model, the steps from it, what is left, and the signatures of all effects at the base.
 
@@ -203,6 +215,7 @@ class _Found:
     lesser: "_Lesser"
     local: Local | None = None
     refused: tuple[Refused, ...] = ()
+    unresolved: Unresolved | None = None
     runs: Model | None = None  # the base with parameters of the free run, where nothing is named and they are better
 
     @property
@@ -267,7 +280,7 @@ def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Fou
         steps = _pruned(base, _swapped(steps, lesser, most), lesser)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
-    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), lesser, search.local)
+    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), lesser, search.local, unresolved=search.unresolved)
 
 
 class _Search:
@@ -278,6 +291,7 @@ class _Search:
         self.lesser = _Lesser(sizes)
         self.tested: list[Signature] = []
         self.local: Local | None = None
+        self.unresolved: Unresolved | None = None
 
     def path(self, base: Model) -> tuple[Model, list[Step]]:
         """One effect after the other, as long as something is found; and the base.
@@ -296,6 +310,7 @@ class _Search:
             step = _step(model, found, self.lesser.sizes, steps, self.most, self.progress)
             if not isinstance(step, Step):
                 self.local = step
+                self.unresolved = _unresolved(found, model)
                 break
             less = self.lesser.of(step.after, step.key)
             stuck = less.bic < model.bic - WORTH
@@ -443,6 +458,12 @@ def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: 
     )
 
 
+def _unresolved(found: Sequence[Score], model: Model) -> Unresolved | None:
+    """What shows most clearly of effects that none of the records' extensions holds, if it is of practical size."""
+    clear = [s for s in found if s.p_family < LEFT_OVER and s.statistic > PRACTICAL * model.predictor.samples]
+    return Unresolved(clear[0].key, float(clear[0].statistic)) if clear else None
+
+
 def _local(before: Model, after: Model, key: str) -> Local:
     """Where an effect explains something that does not hold elsewhere."""
     records, tested = before.predictor.records, folds(before)
@@ -530,7 +551,8 @@ def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
     right, what is said of its size is not. longer: causes are judged a second ahead, not by the likelihood one step ahead.
     """
     while found.steps:
-        strongest = max((x.statistic for x in found.left if x.p_family < ALPHA), default=0.0)
+        shown = [float(x.statistic) for x in found.left if x.p_family < ALPHA]
+        strongest = max(0.0, 0.0, *shown, *([found.unresolved.statistic] if found.unresolved else []))
         first = max(found.steps, key=lambda step: step.gain)
         objected = [(step, why) for step in found.steps if (why := _objection(step, step is first, strongest, judge, longer))]
         if not objected:
