@@ -32,7 +32,7 @@ from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.referee import Judge, as_given, harms, helps, worse
-from workbench.diagnose.refit import Model, is_late, lasting, refits, settled, shortlist, without
+from workbench.diagnose.refit import Model, from_special, is_late, lasting, refits, settled, shortlist, without
 from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
 from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
@@ -364,7 +364,7 @@ def _step(
     Where none holds, the one that would but for the records that are left out.
     """
     short = _with_late(model, shortlist([s for s in found if s.p_family < ALPHA]), found)
-    short = _with_special_cases(model.predictor.plant, short, found)
+    short = _with_family(model.predictor.plant, short, found)
     progress(f"refitting {', '.join(s.key for s in short)}")
     trials = refits(model, short, sizes)
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
@@ -381,6 +381,13 @@ def _step(
     # rivals begin where the first one ended: what looks alike must not differ by the way that its noise levels went
     finals = [(first, trials[0][1])]
     finals += [(final(t, s.key, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
+    for special, s in list(finals):  # a law that fits worse than its special case is not fitted yet
+        for general in (g for g in short if _included(model.predictor.plant, s.key, g.key)):
+            begun = from_special(special, model, general, sizes)
+            if begun.bic < special.bic + TIE:
+                finals.append((final(begun, general.key), general))
+                near.add(general.key)
+    finals = list({s.key: (m, s) for m, s in sorted(finals, key=lambda pair: -pair[0].bic)}.values())
     finals.sort(key=lambda pair: pair[0].bic)
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
     others_of_short = (pair for pair in trials[1:] if pair[1].key not in near)
@@ -481,17 +488,19 @@ def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list
     return short + [s for s in found if is_late(model.predictor, s.key)]
 
 
-def _with_special_cases(plant: Plant, short: list[Score], found: Sequence[Score]) -> list[Score]:
-    """The shortlist with the special cases of its effects: what a law with more numbers explains, they may explain with fewer.
+def _with_family(plant: Plant, short: list[Score], found: Sequence[Score]) -> list[Score]:
+    """The shortlist with the special cases of its effects, and with the laws that these are special cases of.
 
-    Their significance is that of the law that brings them in.
+    What a law with more numbers explains, it may explain with fewer: then its significance is that of the law that brings it in.
     """
     keys, whole = {s.key for s in short}, list(short)
     for s in found:
         by = [general.p_family for general in short if _included(plant, s.key, general.key)]
         if s.key not in keys and by:
             whole.append(replace(s, p_family=min(by)))
-    return whole
+    special = [s.key for s in whole]
+    keys |= set(special)
+    return whole + [s for s in found if s.key not in keys and any(_included(plant, key, s.key) for key in special)]
 
 
 def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:
@@ -552,7 +561,9 @@ def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
     """
     while found.steps:
         shown = [float(x.statistic) for x in found.left if x.p_family < ALPHA]
-        strongest = max(0.0, 0.0, *shown, *([found.unresolved.statistic] if found.unresolved else []))
+        if found.unresolved:
+            shown.append(found.unresolved.statistic)
+        strongest = max(shown, default=0.0)
         first = max(found.steps, key=lambda step: step.gain)
         objected = [(step, why) for step in found.steps if (why := _objection(step, step is first, strongest, judge, longer))]
         if not objected:

@@ -24,6 +24,7 @@ CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 FEW_SENSORS = 2
+LEVELS = (1.0, 2.0, 0.5)  # of a special case's level, from which a more general law begins
 FAR_OFF = 10.0  # deviance a sample from which a start leads nowhere
 
 
@@ -185,6 +186,33 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
         return fitted, best
     late = _from_late(model, best, sizes)
     return (late, late.fit) if late and late.bic < fitted.bic else (fitted, best)
+
+
+def from_special(special: Model, model: Model, score: Score, sizes: np.ndarray) -> Model:
+    """The model with the law of `score`, from where a special case of it ended and at its noise levels, over all its shapes.
+
+    From a linear start a law with a shape may end behind the law that it includes. The last term of `special` is that one.
+    """
+    key, old, slots = special.keys[-1], special.fit.unknowns, model.predictor.plant.slots
+    shapes = {q.parameter.name: special.fit.point.eta[0, i] for i, q in enumerate(slots) if q.key == key}
+    level = old.of_terms(special.fit.z)[-1][0]
+    best: Fit | None = None
+    for signature in score.all:
+        unknowns, guesses = start(model, signature)
+        base = unknowns.base.copy()
+        for slot in unknowns.terms[-1].free:
+            base[slot] = shapes.get(slots[slot].parameter.name, base[slot])
+        unknowns = replace(unknowns, base=base)
+        head, own = len(model.fit.z), unknowns.places[-1].start
+        z = np.tile(guesses[0], (len(LEVELS), 1))
+        z[:, :head] = special.fit.z[:head]
+        z[:, own:] = 0.0
+        z[:, own : own + len(unknowns.terms[-1].sizes)] = level * np.array(LEVELS)[:, None]
+        tried = min(_evaluate(special.predictor, unknowns, list(z), special.fit.jacobian), key=lambda f: f.cost)
+        if best is None or tried.cost < best.cost:
+            best = tried
+    assert best is not None
+    return Model(special.predictor, gauss_newton(special.predictor, best.unknowns, best.z, sizes, rounds=3, enough=0.5))
 
 
 def is_late(predictor: Predictor, key: str) -> bool:

@@ -66,18 +66,18 @@ def test_a_small_dry_friction_is_not_taken_for_a_law_that_includes_it():
     assert cause.evidence.p_value < diagnosis.ALPHA
 
 
-def test_special_cases_of_a_shortlist_join_it_with_the_significance_that_brings_them_in():
+def test_a_shortlist_is_joined_by_special_cases_with_the_significance_that_brings_them_in_and_by_general_laws_with_their_own():
     def score(key, p):
         return Score(key, None, (), 10.0, p, p)
 
     found = [score("asymmetric-friction@rail", 0.002), score("stribeck@rail", 0.004), score("coulomb@rail", 0.02)]
     found += [score("offset@u", 0.03), score("friction-jump@rail", 0.5)]
-    short = diagnosis._with_special_cases(ROBOT, found[:2], found)
-    assert [(s.key, s.p_family) for s in short[2:]] == [("coulomb@rail", 0.002)]
-    assert diagnosis._with_special_cases(ROBOT, found[:3], found) == found[:3]
-    assert diagnosis._with_special_cases(ROBOT, found[3:4], found) == found[3:4]
+    short = diagnosis._with_family(ROBOT, found[:2], found)
+    assert [(s.key, s.p_family) for s in short[2:]] == [("coulomb@rail", 0.002), ("friction-jump@rail", 0.5)]
+    assert diagnosis._with_family(ROBOT, found[:3], found) == [*found[:3], found[4]]
+    assert diagnosis._with_family(ROBOT, found[3:4], found) == found[3:4]
     here, there = [score("asymmetric-friction@unwind", 0.001)], [score("coulomb@rewind", 0.02)]
-    assert diagnosis._with_special_cases(WEB_WINDING, here, there) == here
+    assert diagnosis._with_family(WEB_WINDING, here, there) == here
 
 
 @pytest.mark.parametrize(("backward", "named"), [(30.0, "coulomb"), (34.0, "asymmetric-friction")])

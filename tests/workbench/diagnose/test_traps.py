@@ -12,7 +12,7 @@ from workbench.diagnose.fit import gauss_newton
 from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Predictor, predictor
 from workbench.diagnose.recalibrate import recalibrated
-from workbench.diagnose.refit import Model, refit, settled
+from workbench.diagnose.refit import Model, from_special, refit, settled
 from workbench.diagnose.remainder import BUMPS, _scores, _trajectory, remainder
 from workbench.diagnose.screen import Signature, Variant, scores, small_sizes
 
@@ -150,3 +150,15 @@ def test_trap_9_a_tail_is_not_fitted_steeper_than_it_can_be_known():
     one = Signature(variant, blocks.sum(axis=0), np.eye(1), np.ones(1), blocks, np.zeros((1, 1)), np.full(1, -np.inf))
     assert scores([one])[0].p_family > ALPHA
     assert scores([one])[0].p_value > ALPHA
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_trap_8_a_general_law_begins_where_its_special_case_ended(seed):
+    """From there it ends no worse than that one, which it includes at these numbers, and than from its own linear start."""
+    made = {"coulomb@rail": {"level": 0.2}, "stribeck@rail": {"level": 0.1, "speed": 0.05}}
+    model = fitted(robot_records(seed, made))
+    sizes, scores = small_sizes(model.predictor, model.fit), {s.key: s for s in screened(model)}
+    plain = settled(refitted(model, "coulomb@rail"), sizes)
+    assert from_special(plain, model, scores["asymmetric-friction@rail"], sizes).deviance < plain.deviance + 1.0
+    fading = from_special(plain, model, scores["stribeck@rail"], sizes)
+    assert fading.deviance < refitted(model, "stribeck@rail").deviance + 1.0
