@@ -106,11 +106,12 @@ class Told:
 @pytest.fixture
 def size_known(monkeypatch):
     monkeypatch.setattr(diagnosis, "_none", lambda step: step.none)
+    monkeypatch.setattr(diagnosis, "_helps_free_runs", lambda step, judge: step.lasts)
 
 
-def step(gain: float, none: bool = False) -> SimpleNamespace:
-    """A step as far as an objection looks at it; none: the intervals of its sizes hold 0."""
-    return SimpleNamespace(gain=gain, before=None, after=None, none=none)
+def step(gain: float, none: bool = False, lasts: bool = False) -> SimpleNamespace:
+    """A step as far as an objection looks at it; none: the intervals of its sizes hold 0; lasts: free runs ask for it."""
+    return SimpleNamespace(gain=gain, before=None, after=None, none=none, lasts=lasts)
 
 
 @pytest.mark.usefixtures("size_known")
@@ -146,6 +147,7 @@ def test_a_further_cause_must_not_make_another_error_worse():
     assert _objection(step(60.0), False, 0.0, Told(better, replace(rose, sure=False)), False) == ""
     assert _objection(step(60.0), True, 0.0, Told(better, rose), False) == ""
     assert "held-out" in _objection(step(60.0), True, 0.0, Told(better, surprise=1.0), False)
+    assert _objection(step(60.0, lasts=True), True, 0.0, Told(better, surprise=1.0), False) == ""
 
 
 @pytest.mark.usefixtures("size_known")
