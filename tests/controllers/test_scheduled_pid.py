@@ -228,7 +228,7 @@ def test_a_moving_schedule_in_closed_loop():
 # ---- limits ---------------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10_000), st.booleans(), st.floats(0.1, 3.0), st.floats(1.0, 50.0))
 def test_commands_keep_their_limits_and_rates(seed, clamping, limit, rate):
     law = full(low=-limit, high=2.0 * limit, rate=rate, anti_windup=Clamping() if clamping else None)

@@ -99,7 +99,7 @@ def test_a_list_goes_through_its_values_side_by_side():
     assert [tuple(p.values.values()) for p in points] == [(1.0, "pid"), (2.0, "mpc"), (3.0, "pid")]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sampled_from(["random", "latin-hypercube", "sobol"]), st.integers(1, 60), st.integers(0, 1000), st.booleans())
 def test_what_is_drawn_lies_within_and_is_the_same_again(design, count, seed, log):
     sweep = Sweep("areas", (Factor("a", (), 0.5, 8.0, 0, log), Factor("law", ("x", "y"))), design, count, seed)

@@ -281,12 +281,12 @@ def _trajectory(plant: Plant, one: Dataset) -> Trajectory:
     e, done = one.experiments[0], along(plant, one)
     found, start = done.predictor, done.fit.point.start[0]
     y = found.records[0].y
-    predicted, simulated = (_lasting(y, errors(found, done.fit.point, 0, horizon)) for horizon in ("one-step", "full-run"))
+    predicted, simulated = (_until_lost(y, errors(found, done.fit.point, 0, horizon)) for horizon in ("one-step", "full-run"))
     by_name = dict(zip(plant.state_names, start.tolist(), strict=True))
     return Trajectory(e.name, e.t, y, predicted, simulated, by_name)
 
 
-def _lasting(y: np.ndarray, error: np.ndarray) -> np.ndarray:
+def _until_lost(y: np.ndarray, error: np.ndarray) -> np.ndarray:
     """What was predicted of y (N, ny), NaN from where it has left its range."""
     run = y - error
     lasts = np.logical_and.accumulate((np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) | ~np.isfinite(y), axis=0)

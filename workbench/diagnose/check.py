@@ -307,12 +307,11 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     guesses = _guesses(plant, own, [Guess((t.slip,), run.away) for t, run in zip(trials[1:], others, strict=True) if t.slip])
     if any(slip.sure for guess in guesses for slip in guess.slips):
         # what follows as it is has no inputs exchanged: missing physics may favour the other way round
-        follows = own.away <= FOLLOWED and any(slip.exchanged for guess in guesses for slip in guess.slips)
-        clear = [guess for guess in guesses if not follows or not any(slip.exchanged for slip in guess.slips)]
-        sure = [guess for guess in clear if _holds_in_windows(plant, e, guess)]
+        doubted = [guess for guess in guesses if own.away <= FOLLOWED and any(slip.exchanged for slip in guess.slips)]
+        sure = [guess for guess in guesses if guess not in doubted and _holds_in_windows(plant, e, guess)]
         if sure:
             raise _slipped(e.name, guesses if len(sure) == len(guesses) else sure)
-        yield _unsure(e.name, guesses, follows)
+        yield _unsure(e.name, guesses, follows=bool(doubted))
     elif guesses:
         yield _odd(e.name, guesses)
     _check_limits(plant, e, own.channels)

@@ -390,8 +390,8 @@ def _step(
     finals = list({s.key: (m, s) for m, s in sorted(finals, key=lambda pair: -pair[0].bic)}.values())
     finals.sort(key=lambda pair: pair[0].bic)
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
-    others_of_short = (pair for pair in trials[1:] if pair[1].key not in near)
-    while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(others_of_short, None)):
+    behind = (pair for pair in trials[1:] if pair[1].key not in near)
+    while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(behind, None)):
         # what came first holds in some records only: another cause may hold in all
         near.add(pair[1].key)
         tried = final(pair[0], pair[1].key, first.predictor.noise)

@@ -111,7 +111,7 @@ numbers = st.lists(st.floats(-40.0, 40.0), min_size=12, max_size=12)
 
 
 @given(numbers)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_vector_of_unknowns_leaves_the_bounds_of_effects_and_what_is_inside_is_left_alone(two_terms, values):
     z = np.array(values)
     assert two_terms.size == len(z)
@@ -125,7 +125,7 @@ def test_no_vector_of_unknowns_leaves_the_bounds_of_effects_and_what_is_inside_i
 
 
 @given(numbers)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_vector_of_a_point_is_the_vector_that_gave_it(two_terms, values):
     z = two_terms.clip(np.clip(np.array(values), -3.0, 3.0))
     again = two_terms.vector(two_terms.point(z), two_terms.of_terms(z))

@@ -94,7 +94,7 @@ def test_steps_zero_and_two_agree_with_cvxpy_and_linprog(bound):
 
 
 @BOTH
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.floats(1.01, 3.0))
 def test_answers_keep_the_bound_and_no_feasible_vector_is_shorter(bound, seed, factor):
     Psi, Y, truth = problem(seed, rows=80, columns=20)
@@ -110,7 +110,7 @@ def test_answers_keep_the_bound_and_no_feasible_vector_is_shorter(bound, seed, f
 
 
 @BOTH
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10**6), st.floats(1.0, 2.0))
 def test_the_truth_is_inside_the_intervals_when_the_noise_keeps_its_bound(bound, seed, slack):
     Psi, Y, truth = problem(seed, rows=80, columns=20, power=1.0)

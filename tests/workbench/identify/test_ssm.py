@@ -145,7 +145,7 @@ def test_a_sparse_system_is_recovered_from_bounded_noise(bound):
 
 
 @BOTH
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10**6), slack=st.floats(1.0, 1.5))
 def test_the_truth_is_inside_every_interval_when_the_noise_keeps_its_bound(bound, seed, slack):
     experiment, d = simulated(third_order, seed, N=120, noise=0.05)

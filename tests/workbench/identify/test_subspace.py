@@ -156,7 +156,7 @@ def test_the_innovation_model_is_a_stable_predictor_with_the_right_noise(method)
 
 
 @METHODS
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(scale=st.tuples(*[st.floats(-6, 6)] * 4))
 def test_units_do_not_matter(method, scale):
     record = run(300, 0, 0.2)

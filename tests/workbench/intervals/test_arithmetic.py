@@ -259,7 +259,7 @@ def over_square(x, y):
     return x / (y**2 + 1)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=250)
 @given(expressions, st.lists(st.lists(numbers, min_size=5, max_size=5), min_size=3, max_size=3))
 def test_an_expression_of_intervals_holds_that_of_their_members_and_of_smaller_intervals(expression, drawn):
     sorted_numbers = [sorted(row) for row in drawn]
@@ -271,7 +271,7 @@ def test_an_expression_of_intervals_holds_that_of_their_members_and_of_smaller_i
     assert holds(small, evaluate(expression, member, over_square)).all()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.sampled_from([SUM, DIFFERENCE, PRODUCT]), *[st.lists(numbers, min_size=4, max_size=4)] * 2)
 def test_one_operation_is_isotonic_to_the_last_bit(operation, a, b):
     (a0, a1, a2, a3), (b0, b1, b2, b3) = sorted(a), sorted(b)

@@ -128,7 +128,7 @@ def test_the_nominal_run_has_every_delta_at_zero():
     np.testing.assert_allclose(nominal(r).y, simulate(r, np.zeros((1, 7, 4)))[0], rtol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SEEDS, st.integers(0, 3), st.integers(1, 4), st.integers(1, 3), st.integers(0, 2), st.sampled_from([1.0, 0.0, -0.7]))
 def test_every_sequence_stays_inside_every_outer_method(seed, n, p, modes, spread, through):
     r = some(seed, n, p, 12, modes=modes, spread=spread, through=through)
@@ -156,7 +156,7 @@ def test_the_hull_and_the_adversary_are_the_range_of_all_vertex_sequences(n, see
     np.testing.assert_allclose(found.y.max(axis=0), y.max(axis=0), atol=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(SEEDS)
 def test_parameters_inside_the_box_never_beat_its_vertices(seed):
     # not so for a bound that is only convex: y is affine in each delta(k)
@@ -403,7 +403,7 @@ def test_a_light_damping_makes_the_worst_signs_alternate():
     assert 3 <= np.count_nonzero(np.diff(w)) <= 30
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(SEEDS, st.integers(1, 6), st.integers(0, 1))
 @example(seed=199, n=6, spread=0)  # one sweep is not enough here
 def test_the_sequence_for_an_instant_cannot_be_improved_at_a_single_sample(seed, n, spread):

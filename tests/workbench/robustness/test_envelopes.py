@@ -215,7 +215,7 @@ def test_two_states_have_the_exact_hull_of_the_open_loop_module(seed, through):
 # ---- every run ------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(SEEDS, st.integers(1, 4), st.integers(1, 5), st.integers(1, 3), st.sampled_from([1, 2, 15]))
 def test_every_run_stays_within_kernel_and_proof(seed, n, p, c, M):
     course = within(some(seed, n, p, c, N=15, M=M), 0.5)
