@@ -64,7 +64,7 @@ def command(words: Sequence[str], spoken: io.StringIO) -> int:
 def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "key": f"{c['effect']}@{c['at']}", "ties": c["ties"], "stability": c["stability"],
-        "delta_bic": c["evidence"]["delta_bic"],
+        "delta_bic": c["evidence"]["delta_bic"], "sure": c["sure"], "doubt": c["doubt"],
         "parameters": {name: [e["value"], e["low"], e["high"]] for name, e in c["parameters"].items()},
         "units": {name: e["unit"] for name, e in c["parameters"].items()},
     }  # fmt: skip

@@ -159,7 +159,8 @@ def _cause_blocks(nominal: Plant, found: Diagnosis, own: Dataset, held: Dataset)
     """A sentence and a picture for each cause, then the evidence; nominal: the plant with recalibrated parameters."""
     blocks: list[Block] = []
     for cause in found.causes:
-        blocks.append(Text(f"{ended(cause.sentence)} {cause.key}: {sizes(cause)}.\n\n{_equation(nominal, cause)}"))
+        doubt = f" Not sure: {ended(cause.doubt)}" if cause.doubt else ""
+        blocks.append(Text(f"{ended(cause.sentence)} {cause.key}: {sizes(cause)}.{doubt}\n\n{_equation(nominal, cause)}"))
         drawn = shown(nominal, found.effects, cause.key, own)
         if drawn is None:
             blocks.append(_shifted(nominal, found, cause, Dataset(held.experiments[:1])))

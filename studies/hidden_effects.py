@@ -61,7 +61,7 @@ CLEAR, TRIALS = (100.0, 1600.0), 5  # losses from which a limit is read, how oft
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 600, 30
 CONFUSIONS = 20
-LAYOUT = 3  # of a row: rows of another layout are not counted with these
+LAYOUT = 4  # of a row: rows of another layout are not counted with these
 
 
 TARGETS = (
@@ -240,6 +240,7 @@ def _answer(found: Any) -> dict[str, Any]:
             "posterior": c.evidence.posterior,
             "delta_bic": c.evidence.delta_bic,
             "stability": c.stability,
+            "sure": not c.doubt,
             "parameters": {name: [e.value, e.low, e.high] for name, e in c.parameters.items()},
             "improved": _improved(c.gains),
         }

@@ -34,7 +34,7 @@ class Outcome(Enum):
     TIE = "declared tie that holds it"
     BESIDE = "right, and a wrong name beside it"
     WRONG = "confident wrong name"
-    FLAGGED = "wrong name, said to be uncertain or incomplete"
+    FLAGGED = "wrong name, said to be uncertain"
     UNKNOWN = "something missing, no name"
     MISSED = "nothing said"
 
@@ -134,7 +134,7 @@ class Summary:
     both: Share  # of pairs of which both are testable
     one: Share
     both_by_multiple: Share  # of pairs of which both are at TESTABLE or more, whatever limits their own records state
-    wrong_in_pairs: Share  # the verdict is "named", and a cause is neither of the two
+    wrong_in_pairs: Share  # a cause that is said to be sure is neither of the two
     outside: Share  # of cases outside the catalogue at FAR_OUTSIDE or more: "unknown" or "incomplete"
     inside: Share  # of stated intervals of right causes: the true number lies inside
     gained: Share  # of named causes: the one-step error on held-out records is lower with it
@@ -178,6 +178,12 @@ def strangers(row: Row) -> list[str]:
     return [c["key"] for c in beyond_rounding(row) if not keys & names(c)]
 
 
+def misled(row: Row) -> list[str]:
+    """Causes that stand for nothing that was hidden, and that are said to be sure."""
+    wrong = strangers(row)
+    return [c["key"] for c in row["causes"] if c["key"] in wrong and c["sure"]]
+
+
 def outcome(row: Row) -> Outcome:
     """What was said about the single effect of a row."""
     key, causes = row["truth"][0]["key"], beyond_rounding(row)
@@ -187,7 +193,7 @@ def outcome(row: Row) -> Outcome:
         if len(causes) > 1:
             return Outcome.BESIDE
         return Outcome.RIGHT if causes[0]["key"] == key else Outcome.TIE
-    unsure = row["verdict"] != "named" or any(key in c["ties"] for c in causes)
+    unsure = not misled(row) or any(key in c["ties"] for c in causes)
     return Outcome.FLAGGED if unsure else Outcome.WRONG
 
 
@@ -273,7 +279,7 @@ def summary(rows: Iterable[Row]) -> Summary:
         both=share(found(row) == 2 for row in both),
         one=share(found(row) == 1 for row in both),
         both_by_multiple=share(found(row) == 2 for row in pairs if by_multiple(row)),
-        wrong_in_pairs=share(row.get("verdict") == "named" and bool(strangers(row)) for row in both),
+        wrong_in_pairs=share(bool(misled(row)) for row in both),
         outside=share(row.get("verdict") in ("unknown", "incomplete") for row in far),
         inside=share(inside(rows)),
         gained=share(_gained(rows)),

@@ -38,7 +38,7 @@ from workbench.report.page import write_report
 
 Say = Callable[[str], None]
 
-LAYOUT = 1  # of a row: rows of another layout are not counted with these
+LAYOUT = 2  # of a row: rows of another layout are not counted with these
 TABLE = "machines.jsonl"
 GIVEN, FOUND = "as given", "as found"
 QUICK = ("kuka_kr300", "cascaded_tanks")
@@ -338,12 +338,13 @@ def _causes(row: Row) -> str:
 
 
 def _cause(c: Mapping[str, Any]) -> str:
-    """A name with its sizes, their 95 % intervals, and what it ties with."""
+    """A name, whether it is sure, its sizes with their 95 % intervals, and what it ties with."""
     numbers = ", ".join(
         f"{name} {value:.3g} [{low:.3g}, {high:.3g}] {c['units'][name]}".strip()
         for name, (value, low, high) in c["parameters"].items()
     )
-    return f"{c['key']} ({numbers})" + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "")
+    sure, ties = "" if c["sure"] else ", not sure", f" ~ {', '.join(c['ties'])}" if c["ties"] else ""
+    return f"{c['key']} ({numbers}){sure}{ties}"
 
 
 def to_json(s: Summary) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from typing import Any
 
-from studies.hidden_scores import Share, beyond_rounding, names, share, strangers
+from studies.hidden_scores import Share, beyond_rounding, misled, names, share, strangers
 from studies.stranger_scores import Row, ratios, worse
 from workbench.records import field, record
 
@@ -23,7 +23,7 @@ class Ending(Enum):
     CRASHED = "Crashed"
     REFUSED = "Refused"
     WRONG = "Named against the label, with confidence"
-    BESIDE = "Named against the label, in an answer that says it is incomplete"
+    BESIDE = "Named against the label, and said not to be sure"
     MISSED = "Said to lack nothing"
     OPEN = "Said to be unknown, though the catalogue holds a name"
     OUTSIDE = "Said to be unknown, and outside the catalogue"
@@ -71,8 +71,8 @@ class Summary:
     machines: int
     crashed: Share
     refused: Share
-    wrong: Share  # of all answers: a name against the label, with the verdict "named"
-    beside: Share  # the same with the verdict "incomplete"
+    wrong: Share  # of all answers: a name against the label, said to be sure
+    beside: Share  # the same, said not to be sure
     right: Share  # of machines whose label the catalogue holds: an allowed name, and none against the label
     outside: Share  # of the other machines: "unknown", with no name
     lower: Share  # of all answers: held-out errors over the full run lower than those of the plant as given, or said why not
@@ -100,7 +100,7 @@ def ending(row: Row, machine: Machine) -> Ending:
         if fault.name.lower() in row:
             return fault
     if against(row, machine):
-        return Ending.WRONG if row["verdict"] == "named" else Ending.BESIDE
+        return Ending.WRONG if misled(labelled(row, machine)) else Ending.BESIDE
     if agreeing(row, machine):
         return Ending.RIGHT
     if row["verdict"] == "nothing":

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.hidden_scores import Share, found, inside, share, strangers
+from studies.hidden_scores import Share, found, inside, misled, share, strangers
 from workbench.records import record
 
 Row = Mapping[str, Any]
@@ -44,8 +44,8 @@ class Summary:
     outcomes: Mapping[str, int]
     crashed: Share
     refused: Share
-    wrong: Share  # of all answers: a name that was not hidden, with the verdict "named"
-    wrong_beside: Share  # the same with the verdict "incomplete"
+    wrong: Share  # of all answers: a name that was not hidden, said to be sure
+    unsure: Share  # of all answers: a name that was not hidden, said not to be sure
     false_alarms: Share  # of answers where nothing is hidden: a cause is named
     right_or_tie: Share  # of single effects
     both: Share  # of pairs: both found, alone or in ties, and nothing wrong beside them
@@ -60,11 +60,11 @@ def outcome(row: Row) -> Outcome:
     for fault in (Outcome.CRASHED, Outcome.REFUSED):
         if fault.value in row:
             return fault
-    verdict, wrong, hidden = row["verdict"], strangers(row), [t for t in row["truth"] if t["catalogued"]]
-    if verdict == "incomplete" and (row["kind"] != "nothing" or not wrong):
-        return Outcome.INCOMPLETE
-    if wrong and verdict != "unknown":
+    verdict, hidden = row["verdict"], [t for t in row["truth"] if t["catalogued"]]
+    if misled(row):
         return Outcome.WRONG
+    if verdict == "incomplete":
+        return Outcome.INCOMPLETE
     if row["kind"] == "nothing" and verdict == "named":  # the quantum of the logger, which is there
         return Outcome.RIGHT
     if row["kind"] in ("nothing", "outside"):
@@ -107,8 +107,8 @@ def summary(rows: Iterable[Row]) -> Summary:
         outcomes={o.value: said[o.value] for o in Outcome},
         crashed=share("crashed" in row for row in rows),
         refused=share("refused" in row for row in rows),
-        wrong=share(row["verdict"] == "named" and bool(strangers(row)) for row in answered),
-        wrong_beside=share(row["verdict"] == "incomplete" and bool(strangers(row)) for row in answered),
+        wrong=share(bool(misled(row)) for row in answered),
+        unsure=share(len(strangers(row)) > len(misled(row)) for row in answered),
         false_alarms=share(bool(strangers(row)) for row in by["nothing"] if "verdict" in row),
         right_or_tie=share(outcome(row) in held for row in by["single"]),
         both=share(outcome(row) in held for row in by["pair"]),

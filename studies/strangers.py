@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from studies import answers
-from studies.hidden_scores import Share
-from studies.stranger_scores import HORIZONS, Outcome, Row, Summary, by_machine, outcome, ratios, strangers, worse
+from studies.hidden_scores import Share, misled, strangers
+from studies.stranger_scores import HORIZONS, Outcome, Row, Summary, by_machine, outcome, ratios, worse
 from studies.table import fingerprint, resumed
 from studies.targets import Target, reached, target_table
 from workbench.errors import InputError
@@ -34,7 +34,7 @@ Say = Callable[[str], None]
 
 SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 400, 28
-LAYOUT = 3  # of a row: rows of another layout are not counted with these
+LAYOUT = 4  # of a row: rows of another layout are not counted with these
 
 
 TARGETS = (
@@ -167,9 +167,14 @@ def said(row: Row) -> str:
     for fault in ("refused", "crashed"):
         if fault in row:
             return f"{start} -> {fault}: {row[fault].strip().splitlines()[-1 if fault == 'crashed' else 0]}"
-    causes = ", ".join(c["key"] + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "") for c in row["causes"]) or "no cause"
+    causes = ", ".join(
+        c["key"] + ("" if c["sure"] else " (not sure)") + (f" ~ {', '.join(c['ties'])}" if c["ties"] else "")
+        for c in row["causes"]
+    )
     gained = "; ".join(f"{h} x{r:.3g}" for h, r in ratios(row).items())
-    return f"{start} -> {outcome(row).value}: {row['verdict']}, {causes} ({row['seconds']:.0f} s; held-out {gained})"
+    return (
+        f"{start} -> {outcome(row).value}: {row['verdict']}, {causes or 'no cause'} ({row['seconds']:.0f} s; held-out {gained})"
+    )
 
 
 # ---- the page ---------------------------------------------------------------------------------------------------------------
@@ -245,10 +250,7 @@ def _wrong(rows: Sequence[Row]) -> tuple[Block, ...]:
     answered = [row for row in rows if "verdict" in row]
     parts = (
         ("Confident wrong names", [row for row in answered if outcome(row) is Outcome.WRONG]),
-        (
-            "Wrong names among those of an incomplete answer",
-            [r for r in answered if r["verdict"] == "incomplete" and strangers(r)],
-        ),
+        ("Wrong names that are said not to be sure", [r for r in answered if len(strangers(r)) > len(misled(r))]),
         ("Worse than what was given, and not said", [row for row in answered if worse(row) and not row["says_worse"]]),
         ("Not judged on held-out records", [row for row in answered if "unjudged" in row]),
         ("Refused", [row for row in rows if "refused" in row]),

@@ -16,6 +16,11 @@ HEADLINES = {
     Finding.INCOMPLETE: "INCOMPLETE: causes are named, and something is left that no further effect of the catalogue explains; "
     "use what is named, and look at what is left.",
 }
+#: The headline of causes of which not all are sure; sure: those that are, if any.
+UNSURE = (
+    "INCOMPLETE: what the simulation of {plant} lacks is explained in part; {sure}. Mend nothing for the sake of what is not "
+    "sure, and look at what is left."
+)
 #: The headline of what is named, where rivals explain it as well.
 TIED = (
     "NAMED, with a tie: what the simulation of {plant} lacks has a size, and more than one name that these records cannot tell "
@@ -32,8 +37,7 @@ def verdict(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = ())
 
 def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = ()) -> list[str]:
     """The verdict and what it means, what is missing, how large, how sure, what naming it gains, and what to do next."""
-    tied = found.finding is Finding.NAMED and any(cause.ties for cause in found.causes)
-    said = [(TIED if tied else HEADLINES[found.finding]).format(plant=found.plant), *map(ended, found.signs)]
+    said = [_headline(found), *map(ended, found.signs)]
     if found.finding is Finding.NOTHING:
         said.append(reach(found))
     else:
@@ -46,9 +50,22 @@ def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = (
     return [sentence for sentence in said if sentence]
 
 
+def _headline(found: Diagnosis) -> str:
+    """What was found, and whether it is sure."""
+    if found.finding is Finding.NAMED and any(cause.ties for cause in found.causes):
+        return TIED.format(plant=found.plant)
+    if any(cause.doubt for cause in found.causes):
+        sure = [cause.key for cause in found.causes if not cause.doubt]
+        which = f"sure is {' and '.join(sure)}" if sure else "none of the causes below is sure"
+        return UNSURE.format(plant=found.plant, sure=which)
+    return HEADLINES[found.finding].format(plant=found.plant)
+
+
 def _named(cause: Cause, held_out: bool) -> str:
-    """The cause with its size, its gain and its rivals."""
+    """The cause with its size, what speaks against it, its gain and its rivals."""
     said = [ended(cause.sentence), f"{cause.key}: {sizes(cause)}."]
+    if cause.doubt:
+        said.append(f"Not sure: {ended(cause.doubt)}")
     if best := _best_gain(cause.gains):
         where = _where(held_out)
         change = f"from {best.before:.3g} to {best.after:.3g}{_unit(best.unit)}"

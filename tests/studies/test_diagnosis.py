@@ -124,6 +124,17 @@ def test_the_verdict_names_cause_size_interval_gain_rivals_rest_and_what_to_meas
     assert said.endswith("What to measure next: Run slowly through a reversal.")
 
 
+def test_the_verdict_says_which_causes_are_sure():
+    doubtful = cause("offset", "u", doubt="it needs parameters far from their data sheet")
+    said = verdict(answer(causes=(cause(), doubtful)), held_out=True)
+    assert said.startswith("INCOMPLETE: what the simulation of welding-robot lacks is explained in part; sure is coulomb@rail.")
+    assert said.count("Not sure: It needs parameters far from their data sheet.") == 1
+    alone = verdict(answer(causes=(doubtful,)), held_out=True)
+    assert "none of the causes below is sure" in alone
+    told = {c["effect"]: (c["sure"], c["doubt"]) for c in answer(causes=(cause(), doubtful)).to_dict()["causes"]}
+    assert told == {"coulomb": (True, ""), "offset": (False, doubtful.doubt)}
+
+
 def test_each_finding_has_its_words():
     nothing = answer(finding=Finding.NOTHING, causes=(), effects={}, remainder=(), next_experiment=None)
     assert verdict(nothing, True).startswith("NOTHING: these records show nothing that the simulation of welding-robot lacks")

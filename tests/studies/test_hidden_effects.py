@@ -43,12 +43,12 @@ def hid(key, multiple=6.0, *, size=None, catalogued=True, **parameters):
     }  # fmt: skip
 
 
-def named(key, *, ties=None, posterior=None, improved=0.5, **parameters):
+def named(key, *, ties=None, posterior=None, improved=0.5, sure=True, **parameters):
     ties = ties or {}
     posterior = 1.0 - sum(ties.values()) if posterior is None else posterior
     return {
         "key": key, "ties": ties, "posterior": posterior, "delta_bic": 50.0, "stability": 0.5, "parameters": parameters,
-        "improved": improved,
+        "improved": improved, "sure": sure,
     }  # fmt: skip
 
 
@@ -87,7 +87,8 @@ def test_the_rounding_that_a_sensor_has_in_every_record_is_no_wrong_name_and_no_
         ([named(COULOMB), named(DELAY)], "named", Outcome.BESIDE),
         ([named(OFFSET)], "named", Outcome.WRONG),
         ([named(OFFSET, ties={DELAY: 0.4})], "named", Outcome.WRONG),
-        ([named(OFFSET)], "incomplete", Outcome.FLAGGED),
+        ([named(OFFSET)], "incomplete", Outcome.WRONG),
+        ([named(OFFSET, sure=False)], "incomplete", Outcome.FLAGGED),
         ([named("coulomb@arm")], "named", Outcome.WRONG),
         ([], "unknown", Outcome.UNKNOWN),
         ([], "nothing", Outcome.MISSED),

@@ -86,8 +86,9 @@ SPRING = Machine("spring", "SPRING", ("a.csv",), ("b.csv",), "a cube")
 BOTH = {"arm": ARM, "spring": SPRING}
 
 
-def cause(key, *ties, **parameters):
-    return {"key": key, "ties": list(ties), "parameters": parameters, "units": dict.fromkeys(parameters, "N m")}
+def cause(key, *ties, sure=True, **parameters):
+    units = dict.fromkeys(parameters, "N m")
+    return {"key": key, "ties": list(ties), "parameters": parameters, "units": units, "sure": sure}
 
 
 def row(machine="arm", verdict="named", causes=(), **more):
@@ -96,6 +97,7 @@ def row(machine="arm", verdict="named", causes=(), **more):
 
 
 RIGHT, OTHER = cause("coulomb@arm", level=[1.9, 1.7, 2.1]), cause("offset@u", level=[1.0, 0.9, 1.1])
+UNSURE = OTHER | {"sure": False}
 
 
 @pytest.mark.parametrize(
@@ -108,7 +110,8 @@ RIGHT, OTHER = cause("coulomb@arm", level=[1.9, 1.7, 2.1]), cause("offset@u", le
         (ARM, row(causes=[RIGHT, OTHER]), Ending.WRONG),
         (ARM, row(causes=[OTHER]), Ending.WRONG),
         (ARM, row(verdict="incomplete", causes=[RIGHT]), Ending.RIGHT),
-        (ARM, row(verdict="incomplete", causes=[RIGHT, OTHER]), Ending.BESIDE),
+        (ARM, row(verdict="incomplete", causes=[RIGHT, OTHER]), Ending.WRONG),
+        (ARM, row(verdict="incomplete", causes=[RIGHT, UNSURE]), Ending.BESIDE),
         (ARM, row(verdict="unknown"), Ending.OPEN),
         (ARM, row(verdict="nothing"), Ending.MISSED),
         (ARM, row(crashed="Traceback"), Ending.CRASHED),
@@ -133,7 +136,7 @@ def test_rates_count_what_they_say():
     rows = [
         row(causes=[RIGHT], errors={"full-run": {"b, w": [2.0, 1.0]}, "one-second": {"b, w": [2.0, 1.0]}}),
         row("spring", causes=[OTHER], errors={"full-run": {"b, w": [1.0, 1.5]}}),
-        row("spring", "incomplete", [OTHER], errors={"full-run": {"b, w": [1.0, 1.5]}}, says_worse=True, code=3),
+        row("spring", "incomplete", [UNSURE], errors={"full-run": {"b, w": [1.0, 1.5]}}, says_worse=True, code=3),
         row("spring", "unknown", errors={"full-run": {"b, w": [1.0, 1.0]}}, notes=["the plant keeps its own parameters: worse"]),
         {"machine": "arm", "crashed": "Traceback\nKeyError: 1", "seconds": 1.0},
     ]

@@ -13,8 +13,8 @@ from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
 
 
-def cause(key, *ties, **parameters):
-    return {"key": key, "ties": list(ties), "parameters": parameters, "delta_bic": 50.0, "stability": 1.0}
+def cause(key, *ties, sure=True, **parameters):
+    return {"key": key, "ties": list(ties), "parameters": parameters, "delta_bic": 50.0, "stability": 1.0, "sure": sure}
 
 
 def row(kind="single", truth=(), verdict="named", causes=(), **more):
@@ -37,7 +37,9 @@ A, B, C = "coulomb@joint", "offset@V", "sensor-lag@a"
         (row(truth=[A], causes=[cause(A), cause(B)]), Outcome.WRONG),
         (row(truth=[A], causes=[cause(B)]), Outcome.WRONG),
         (row(truth=[A], verdict="incomplete", causes=[cause(A)]), Outcome.INCOMPLETE),
-        (row(truth=[A], verdict="incomplete", causes=[cause(B)]), Outcome.INCOMPLETE),
+        (row(truth=[A], verdict="incomplete", causes=[cause(B, sure=False)]), Outcome.INCOMPLETE),
+        (row(truth=[A], verdict="incomplete", causes=[cause(B)]), Outcome.WRONG),
+        (row(truth=[A], verdict="incomplete", causes=[cause(A), cause(B, sure=False)]), Outcome.INCOMPLETE),
         (row(truth=[A], verdict="unknown"), Outcome.UNKNOWN),
         (row(truth=[A], verdict="nothing"), Outcome.MISSED),
         (row("pair", [A, B], causes=[cause(A), cause(B)]), Outcome.RIGHT),
@@ -47,8 +49,10 @@ A, B, C = "coulomb@joint", "offset@V", "sensor-lag@a"
         (row("nothing", verdict="nothing"), Outcome.RIGHT),
         (row("nothing", verdict="unknown"), Outcome.UNKNOWN),
         (row("nothing", verdict="incomplete", causes=[cause(A)]), Outcome.WRONG),
+        (row("nothing", verdict="incomplete", causes=[cause(A, sure=False)]), Outcome.INCOMPLETE),
         (row("outside", ["cable@outside"], verdict="unknown"), Outcome.RIGHT),
-        (row("outside", ["cable@outside"], verdict="incomplete", causes=[cause(A)]), Outcome.INCOMPLETE),
+        (row("outside", ["cable@outside"], verdict="incomplete", causes=[cause(A, sure=False)]), Outcome.INCOMPLETE),
+        (row("outside", ["cable@outside"], verdict="incomplete", causes=[cause(A)]), Outcome.WRONG),
         (row("outside", ["cable@outside"], causes=[cause(A)]), Outcome.WRONG),
         (row("outside", ["cable@outside"], verdict="nothing"), Outcome.MISSED),
         (row(truth=[A], crashed="Traceback"), Outcome.CRASHED),
@@ -72,17 +76,20 @@ def test_rates_count_what_they_say():
         row(truth=[A], causes=[outside_of], errors={"one-second": {"r, a": [1.0, 1.2]}}),
         row(truth=[A], causes=[cause(B)], errors={"full-run": {"r, a": [1.0, 1.5]}}, says_worse=True),
         row("nothing", verdict="nothing", errors={"one-second": {"r, a": [1.0, 0.9]}}),
+        row("nothing", verdict="incomplete", causes=[cause(C, sure=False)]),
         {k: v for k, v in row("pair", [A, B], crashed="Traceback").items() if k not in ("verdict", "causes")},
         row(undrawn="no"),
     ]
     s = summary(rows)
-    assert (s.cases, s.crashed.hits, s.refused.hits) == (5, 1, 0)
-    assert (s.wrong.hits, s.wrong.of) == (1, 4)
+    assert (s.cases, s.crashed.hits, s.refused.hits) == (6, 1, 0)
+    assert (s.wrong.hits, s.wrong.of) == (1, 5)
+    assert (s.unsure.hits, s.unsure.of) == (1, 5)
+    assert (s.false_alarms.hits, s.false_alarms.of) == (1, 2)  # also where it is not sure
     assert (s.right_or_tie.hits, s.right_or_tie.of) == (2, 3)
     assert (s.inside.hits, s.inside.of) == (1, 2)
     assert (s.both.hits, s.both.of) == (0, 1)
     assert (s.worse.hits, s.worse.of) == (1, 3)  # the one that says so is not among them
-    assert "Falls short: crashed: 1 of 5" in verdict(s)
+    assert "Falls short: crashed: 1 of 6" in verdict(s)
     assert {t.rate for t in TARGETS} <= set(vars(s))
 
 

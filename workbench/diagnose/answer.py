@@ -16,7 +16,7 @@ class Finding(Enum):
     NAMED = "named"  # what is missing has a name
     NOTHING = "nothing"  # nothing is missing that these data can show
     UNKNOWN = "unknown"  # something is missing and no entry of the catalogue explains it
-    INCOMPLETE = "incomplete"  # causes are named, a significant remainder is left
+    INCOMPLETE = "incomplete"  # causes are named, not all of them sure, or a significant remainder is left
 
 
 @record
@@ -55,8 +55,9 @@ class Evidence:
 class Cause:
     """A named effect: "coulomb@unwind", one sentence, its numbers, what it gains on held-out records, evidence and rivals.
 
-    ties: rivals that these records cannot tell from it, with their weights; stable: it has the same size in all records.
-    separates: what tells it from its look-alikes.
+    ties: rivals that these records cannot tell from it, with their weights; stability: p-value of one size in all records.
+    separates: what tells it from its look-alikes. doubt: what speaks against it although the records prefer the plant with it;
+    empty where it is sure.
     """
 
     effect: str
@@ -66,8 +67,9 @@ class Cause:
     gains: tuple[Gain, ...]
     evidence: Evidence
     ties: Mapping[str, float] = field(default_factory=dict)
-    stability: float = 1.0  # p-value of one size in all records
+    stability: float = 1.0
     separates: str = ""
+    doubt: str = ""
 
     @property
     def key(self) -> str:
@@ -188,4 +190,6 @@ def _cause(c: Cause) -> dict[str, Any]:
         "evidence": {"delta_bic": c.evidence.delta_bic, "p_value": c.evidence.p_value, "posterior": c.evidence.posterior},
         "ties": list(c.ties),
         "stability": c.stability,
+        "sure": not c.doubt,
+        "doubt": c.doubt,
     }

@@ -27,7 +27,7 @@ from workbench.diagnose.experiments import Template, deciding
 from workbench.diagnose.fit import gauss_newton
 from workbench.diagnose.free_run import simulated
 from workbench.diagnose.gains import ahead
-from workbench.diagnose.lags import timed
+from workbench.diagnose.lags import FAR, timed
 from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
@@ -135,13 +135,21 @@ def diagnose(
         given = as_given(plant, dataset, drift=False, threads=threads)
     objections = judge.objections("extended" if steps else "recalibrated", given, model)
     kept = bool(objections) and not steps  # what names nothing must not bend parameters either
-    causes = tuple(_cause(plant, s, model, judge.gained(s.before, s.after)) for s in steps)
     rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     finding, beyond = _with_rounding(found, [c.place for c in rounds]), _beyond(base, model)
+    if finding is Finding.NAMED and steps and (beyond or objections):
+        finding = Finding.INCOMPLETE
+    causes = tuple(
+        replace(
+            _cause(plant, s, model, judge.gained(s.before, s.after)),
+            doubt=_doubt(s, bool(beyond), bool(objections)) if finding is Finding.INCOMPLETE else "",
+        )
+        for s in steps
+    )
     return Diagnosis(
         plant=plant.name,
-        finding=Finding.INCOMPLETE if finding is Finding.NAMED and any(beyond.values()) else finding,
+        finding=finding,
         causes=(*causes, *rounds),
         recalibrated=_parameters(model),
         untestable=_untestable(base, tested),
@@ -160,7 +168,7 @@ def diagnose(
             *_exchanged(steps),
             *(f"the plant keeps its own parameters: {objection}" for objection in objections if kept),
         ),
-        signs=tuple(beyond),
+        signs=beyond,
         objections=() if kept else objections,
         seconds=time.perf_counter() - began,
     )
@@ -305,6 +313,7 @@ class _Search:
             model = steps[-1].after if steps else base
             self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
             found = self.screened(model)
+            self.lesser.met.append(model)
             if not found or found[0].p_family > ALPHA:
                 break
             step = _step(model, found, self.lesser.sizes, steps, self.most, self.progress)
@@ -537,17 +546,20 @@ def _of_its_own(plant: Plant, key: str, gain: float, steps: Sequence[Step]) -> b
 class _Lesser:
     """Models without one of their effects, with noise levels of their own, each made once.
 
-    Levels that suit the effect would make it look worth too much.
+    Levels that suit the effect would make it look worth too much. A model with the same effects that the search has met on its
+    way stands in where it is more likely: what is freed of an effect may be lost where that one has led it.
     """
 
     def __init__(self, sizes: np.ndarray):
         self.sizes, self.made = sizes, []
+        self.met: list[Model] = []
 
     def of(self, model: Model, key: str) -> Model:
         for known, left, less in self.made:
             if known is model and left == key:
                 return less
         less = settled(without(model, key, self.sizes), self.sizes)
+        less = min((less, *(m for m in self.met if set(m.keys) == set(less.keys))), key=lambda m: m.deviance)
         self.made.append((model, key, less))
         return less
 
@@ -598,6 +610,8 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
         return "would explain these records, but predicts the held-out ones no better: something else is behind it"
     if first:
         return ""
+    if step.after.farthest > FAR > step.before.farthest:
+        return "would explain a little more, but with parameters far from their data sheet"
     if not helps(found, MATTERS if strongest else MATTERS_ALONE):
         return "would explain a little more, but takes no error down by a share that matters"
     if harmed := harms(found):
@@ -757,6 +771,15 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
     )
 
 
+def _doubt(step: Step, beyond: bool, worse_than_given: bool) -> str:
+    """What speaks against a cause of an incomplete answer, empty where nothing does; beyond: parameters left their tolerance."""
+    if step.stable < LEFT_OVER:
+        return "its size differs between the records"
+    if worse_than_given:
+        return "the extended plant is worse on held-out records than the plant that came"
+    return "it needs parameters far from their data sheet" if beyond else ""
+
+
 def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:
     """Sizes whose first, a time, has an interval that holds the other times too."""
     name, found = next(iter(sizes.items()))
@@ -799,20 +822,20 @@ def _next(steps: Sequence[Step], templates: Sequence[Template]) -> NextExperimen
     return None
 
 
-def _beyond(base: Model, model: Model) -> dict[str, bool]:
-    """A sentence for every parameter that left its tolerance, and whether a named cause pulled it: it was inside before."""
+def _beyond(base: Model, model: Model) -> tuple[str, ...]:
+    """A sentence for every parameter that left its tolerance; what a named cause has pulled out is a sign of something else."""
     unknowns, plant = model.fit.unknowns, model.predictor.plant
-    said = {}
+    said = []
     for j, i in enumerate(unknowns.parameters):
         q, now = plant.parameters[i], float(model.fit.point.p[i])
         if abs(model.fit.z[j]) > 1.5 * np.sqrt(3.0):
             pulled = bool(model.keys) and abs(base.fit.z[j]) < np.sqrt(3.0)
             sign = ": a sign of another missing piece" if pulled else ""
-            said[
+            said.append(
                 f"{q.name} ({q.meaning or 'parameter'}) is {now:.4g} {q.unit}, {100 * (now / q.value - 1):+.0f} % off the data "
                 f"sheet, which leaves {100 * q.tolerance:.0f} % open{sign}"
-            ] = pulled
-    return said
+            )
+    return tuple(said)
 
 
 def _spread(model: Model) -> np.ndarray:

@@ -8,6 +8,7 @@ the prior of a uniform distribution of that half-width, sigma = t/sqrt(3). Where
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -18,6 +19,7 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 FARTHEST = 30.0  # of the logarithm of a parameter from nominal: a step of a singular fit must not overflow
+WIDEST = 3.0  # of the logarithm of a shape from where its fit began
 NEAR = 0.1  # standard deviations of the prior
 THETA_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-3, 1e-5
 
@@ -142,8 +144,18 @@ class Unknowns:
                 p = self.plant.slots[slot].parameter
                 z[at + j] = np.clip(z[at + j], p.low, p.high)
             shapes = slice(at + len(t.sizes), at + len(t.sizes) + len(t.free))
-            z[shapes] = np.clip(z[shapes], -3.0, 3.0)
+            z[shapes] = np.clip(z[shapes], -WIDEST, WIDEST)
         return z
+
+    def recentred(self, z: np.ndarray) -> tuple["Unknowns", np.ndarray]:
+        """Unknowns about the shapes that stand at the end of their range, and z there; as they are where none does."""
+        base, z = self.base.copy(), z.copy()
+        for t, own in zip(self.terms, self.places, strict=True):
+            for j, slot in enumerate(t.free, start=own.start + len(t.sizes)):
+                q = self.plant.slots[slot].parameter
+                if abs(z[j]) >= WIDEST:
+                    base[slot], z[j] = np.clip(base[slot] * np.exp(z[j]), q.low, q.high), 0.0
+        return (self, z) if np.array_equal(base, self.base) else (replace(self, base=base), z)
 
     def steps(self, sizes: np.ndarray) -> np.ndarray:
         """Step lengths for differences, 0 for starts; sizes (ne): a small size of each effect."""

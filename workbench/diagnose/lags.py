@@ -13,7 +13,7 @@ import numpy as np
 
 from workbench.diagnose.fit import Unknowns, gauss_newton
 from workbench.diagnose.predictor import Predictor
-from workbench.diagnose.refit import Model, settled
+from workbench.diagnose.refit import CONVERGED, Model, settled
 from workbench.diagnose.tuning import tuned
 from workbench.physics.effects.effect import Domain
 from workbench.physics.plant import Plant
@@ -25,6 +25,7 @@ SHORTEST, LONGEST, RATIO = 0.5, 32.0, np.sqrt(2.0)  # times in samples that are 
 BEST, MINIMA = 3, 2  # of the times that are held, fitted further; minima whose times are released
 STEP = 1e-3  # standard deviations of a parameter, for differences
 SAME = 10.0  # deviance within which two times are told apart by nothing
+INTERVAL = 1.96  # standard deviations of a time within which a time constant of the machine is not told from it
 SHARE = 0.9  # of its gain that a solution far from the data sheet must not lose to one that keeps it
 
 
@@ -54,7 +55,14 @@ def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
         time = _time(m, key)
         if m.posterior - best.posterior < SAME and all(abs(np.log(time / other)) > np.log(RATIO) for other in told):
             told.append(time)
-    return Timed(best, tuple(told[1:]))
+    return Timed(best, (*told[1:], *_met(best, key)))
+
+
+def _met(model: Model, key: str) -> list[float]:
+    """Time constants of the machine from which the records do not tell the time: there the two minima have become one."""
+    time, at = _time(model, key), _place(model.fit.unknowns, key).start
+    reach = INTERVAL * float(np.sqrt(model.fit.covariance[at, at]))
+    return [T for T in _time_constants(model) if abs(T - time) < reach]
 
 
 def shifts(plant: Plant, key: str) -> bool:
@@ -65,7 +73,7 @@ def shifts(plant: Plant, key: str) -> bool:
 
 def _exchangeable(model: Model, key: str) -> bool:
     """Whether the time may be that of something else: a parameter has left its data sheet, or goes with the time, or the machine
-    with its time and the sensor with the machine's would keep the data sheet as well.
+    with its time and the sensor with the machine's would keep the data sheet as well. A dead time is no time constant.
     """
     time, n = _time(model, key), model.fit.unknowns.split[0]
     if not time > 0.0 or n == 0:
@@ -74,6 +82,8 @@ def _exchangeable(model: Model, key: str) -> bool:
     scale = np.sqrt(np.diag(C))
     if model.farthest > FAR or np.any(np.abs(C[at, :n]) > TOGETHER * scale[at] * scale[:n]):
         return True
+    if not next(slot.effect.memories for slot in model.predictor.plant.slots if slot.key == key):
+        return False
     own = _time_constants(model)
     moved = [_time_constants(model, by) for by in STEP * np.eye(n)]
     if any(len(m) != len(own) for m in moved):
@@ -90,7 +100,10 @@ def _minima(model: Model, key: str, sizes: np.ndarray) -> list[Model]:
     for time in sorted(held, key=lambda time: held[time].posterior)[:BEST]:
         for _ in range(2):
             again = _fitted(held[time].predictor, held[time].fit.unknowns, held[time].fit.z, sizes)
-            held[time] = min((held[time], again), key=lambda m: m.posterior)
+            gained = held[time].posterior - again.posterior
+            held[time] = again if gained > 0.0 else held[time]
+            if gained < CONVERGED:
+                break
     lowest = min(held, key=lambda time: held[time].posterior)
     for time in (lowest * RATIO**-0.5, lowest * RATIO**0.5):
         near = held[lowest]
@@ -116,14 +129,17 @@ def _profiled(model: Model, key: str, sizes: np.ndarray) -> dict[float, Model]:
     for outward in (times[middle:], times[:middle][::-1]):
         near = made.get(float(times[middle]), model)
         for time in outward.tolist():
-            near = made[time] = _fitted(near.predictor, _holding(unknowns, key, time), nominal, sizes, regains=2)
+            holding = _holding(unknowns, key, time)
+            near = made[time] = _fitted(near.predictor, holding, nominal, sizes, regains=2, near=near is not model)
     return made
 
 
-def _fitted(predictor: Predictor, unknowns: Unknowns, z: np.ndarray, sizes: np.ndarray, *, regains: int = 1) -> Model:
-    """Gains and noise levels at z, then a fit of two Jacobians."""
+def _fitted(
+    predictor: Predictor, unknowns: Unknowns, z: np.ndarray, sizes: np.ndarray, *, regains: int = 1, near: bool = True
+) -> Model:
+    """Gains and noise levels at z, then a fit of two Jacobians; near: the predictor's levels are those of a time close by."""
     predictor = predictor.regained(unknowns.point(z), rounds=regains)
-    predictor = predictor.with_noise(tuned(predictor))
+    predictor = predictor.with_noise(tuned(predictor, again=near))
     return Model(predictor, gauss_newton(predictor, unknowns, z, sizes, rounds=2, enough=0.5))
 
 

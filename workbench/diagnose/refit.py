@@ -268,9 +268,10 @@ def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Mode
         moved = Model(model.predictor, gauss_newton(model.predictor, model.fit.unknowns, z, sizes, enough=0.2))
         model = min((model, moved), key=lambda m: m.deviance)
     for settling in range(SETTLINGS):
+        unknowns, z = model.fit.unknowns.recentred(model.fit.z)
         predictor = model.predictor.regained(model.fit.point)
         predictor = predictor.with_noise(tuned(predictor, again=settling > 0))
-        fit = gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, enough=0.2)
+        fit = gauss_newton(predictor, unknowns, z, sizes, enough=0.2)
         better = Model(replace(predictor, point=fit.point), fit)
         gained = model.deviance - better.deviance
         model = better if gained > 0.0 else model

@@ -1,6 +1,7 @@
 """Whole diagnoses: effects that the simulation itself switched on are named with their size, nothing where nothing is missing."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from plants import WEB_WINDING
 from studies.experiments import EXPERIMENTS
 from studies.jobs.recorded import Recorded
-from tests.workbench.diagnose.cases import AXIS, ROBOT, axis_records, robot_records
+from tests.workbench.diagnose.cases import AXIS, ROBOT, axis_records, fitted, refitted, robot_records
 from workbench.data import Dataset
 from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
@@ -193,6 +194,41 @@ def test_a_cause_that_held_out_records_do_not_confirm_is_not_named():
     assert (
         diagnose(AXIS, axis_records(3, friction)).finding is Finding.NAMED
     )  # without held-out records nothing speaks against it
+
+
+@pytest.mark.parametrize(("tolerance", "finding"), [(0.05, Finding.INCOMPLETE), (0.5, Finding.NAMED)])
+def test_a_cause_is_not_sure_where_parameters_have_left_their_data_sheet(tolerance, finding):
+    """A mass 40 % above a data sheet that leaves 5 % open: either that is wrong or something else is missing."""
+    known = replace(AXIS, parameters=tuple(replace(q, tolerance=tolerance) for q in AXIS.parameters))
+    made = [axis_records(seed, {"coulomb@slide": {"level": 60.0}}, parameters={"M": 133.0}) for seed in (3, 4)]
+    found = diagnose(known, *made)
+    assert found.finding is finding
+    (cause,) = found.causes
+    assert cause.key == "coulomb@slide"
+    assert bool(found.signs) is bool(cause.doubt) is (finding is Finding.INCOMPLETE)
+
+
+@pytest.mark.parametrize(
+    ("stable", "beyond", "worse", "said"),
+    [(0.5, False, False, ""), (1e-5, False, False, "size"), (0.5, True, False, "data sheet"), (0.5, False, True, "held-out")],
+)
+def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, beyond, worse, said):
+    doubt = diagnosis._doubt(SimpleNamespace(stable=stable), beyond, worse)
+    assert said in doubt
+    assert bool(doubt) is bool(said)
+
+
+def test_a_model_freed_of_an_effect_is_no_worse_than_one_without_it_that_was_met_before():
+    """Freed of the effect it may be lost, and whatever it is compared with would look like a gain."""
+    model = fitted(robot_records(3, {"coulomb@rail": {"level": 0.3}}))
+    after = refitted(model, "coulomb@rail", [0.3])
+    lesser = diagnosis._Lesser(np.zeros(len(ROBOT.slots)))
+    lesser.met.append(model)
+    assert lesser.of(after, "coulomb@rail").deviance <= model.deviance
+    assert lesser.of(after, "coulomb@rail") is lesser.of(after, "coulomb@rail")
+    worse = diagnosis._Lesser(np.zeros(len(ROBOT.slots)))
+    worse.met.append(after)  # holds the effect itself
+    assert worse.of(after, "coulomb@rail").deviance > after.deviance + 100.0
 
 
 def test_a_share_of_the_gain_is_a_tie_between_forms_of_one_friction_only():

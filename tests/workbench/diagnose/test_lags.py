@@ -53,6 +53,19 @@ def test_two_orders_that_the_data_sheet_does_not_tell_apart_are_both_told():
     assert any("change places" in note for note in found.notes)
 
 
+def test_a_lag_that_meets_a_time_constant_of_the_machine_is_told_to_be_exchangeable():
+    """137 ms behind a cart of nearly the same time constant: two orders have become one minimum, which lies between them."""
+    random = np.random.default_rng([77, 6])
+    lag = 0.025 * 6.0 ** random.random()
+    u = random.uniform(-0.8, 0.8, len(ROBOT.parameters))
+    parameters = {q.name: q.value * (1.0 + q.tolerance * x) for q, x in zip(ROBOT.parameters, u, strict=True)}
+    made = (robot_records(s, {"sensor-lag@v": {"time": lag}}, samples=1500, records=1, parameters=parameters) for s in (12, 13))
+    found = diagnose(ROBOT, *made)
+    time = lag_of(found)
+    assert time.low < lag < time.high
+    assert any("change places" in note for note in found.notes)
+
+
 def test_the_lag_of_the_robot_is_found_where_recalibration_has_bent_a_mass():
     def drawn(seed):
         u = np.random.default_rng(seed).uniform(-0.8, 0.8, len(ROBOT.parameters))

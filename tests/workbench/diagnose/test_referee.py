@@ -109,9 +109,12 @@ def size_known(monkeypatch):
     monkeypatch.setattr(diagnosis, "_helps_free_runs", lambda step, judge: step.lasts)
 
 
-def step(gain: float, none: bool = False, lasts: bool = False) -> SimpleNamespace:
-    """A step as far as an objection looks at it; none: the intervals of its sizes hold 0; lasts: free runs ask for it."""
-    return SimpleNamespace(gain=gain, before=None, after=None, none=none, lasts=lasts)
+def step(gain: float, none: bool = False, lasts: bool = False, far: float = 0.5) -> SimpleNamespace:
+    """A step as far as an objection looks at it; none: the intervals of its sizes hold 0; lasts: free runs ask for it; far: how
+    many standard deviations from its data sheet it takes a parameter.
+    """
+    before, after = (SimpleNamespace(farthest=f) for f in (0.5, far))
+    return SimpleNamespace(gain=gain, before=before, after=after, none=none, lasts=lasts)
 
 
 @pytest.mark.usefixtures("size_known")
@@ -138,6 +141,14 @@ def test_a_size_that_is_not_told_from_none_is_no_cause(first):
     better = Told(Change("y", "one-second", "m", 1.0, 0.5, True))
     assert _objection(step(60.0), first, 0.0, better, False) == ""
     assert "a size that they do not tell from none" in _objection(step(60.0, none=True), first, 0.0, better, False)
+
+
+@pytest.mark.usefixtures("size_known")
+def test_a_further_cause_must_not_take_a_parameter_far_from_its_data_sheet():
+    better = Told(Change("y", "one-second", "m", 1.0, 0.5, True))
+    assert "data sheet" in _objection(step(60.0, far=3.1), False, 0.0, better, False)
+    assert _objection(step(60.0, far=2.9), False, 0.0, better, False) == ""
+    assert _objection(step(60.0, far=3.1), True, 0.0, better, False) == ""  # a first one is told with its doubt
 
 
 @pytest.mark.usefixtures("size_known")

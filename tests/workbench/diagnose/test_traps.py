@@ -8,10 +8,10 @@ import pytest
 from tests.workbench.diagnose.cases import AXIS, READING, ROBOT, axis_by_hand, axis_records, fitted, robot_records, screened
 from workbench.data import Dataset
 from workbench.diagnose.diagnosis import ALPHA, WORTH, diagnose
-from workbench.diagnose.fit import gauss_newton
+from workbench.diagnose.fit import gauss_newton, term
 from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Predictor, predictor
-from workbench.diagnose.recalibrate import recalibrated
+from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.diagnose.refit import Model, from_special, refit, settled
 from workbench.diagnose.remainder import BUMPS, _scores, _trajectory, remainder
 from workbench.diagnose.screen import Signature, Variant, scores, small_sizes
@@ -115,6 +115,22 @@ def test_trap_5_a_shape_between_the_values_of_its_grid_leaves_no_second_effect()
     assert eta["stribeck@rail:speed"] == pytest.approx(0.07, rel=0.2)
     beside = [s for s in screened(found) if s.key != "stribeck@rail"]
     assert min(s.p_family for s in beside) > ALPHA
+
+
+def test_trap_5_a_shape_far_from_where_its_fit_begins_is_found_all_the_same():
+    """Friction whose width begins sixty times too wide: a fit that stops at the end of its range takes another law for better."""
+    model = fitted(robot_records(5, {"coulomb@rail": {"level": 0.3, "width": 0.02}}))
+    sizes, slot = small_sizes(model.predictor, model.fit), [str(s) for s in ROBOT.slots].index("coulomb@rail:width")
+
+    def begun(width: float) -> Model:
+        own = unknowns(model.predictor, (term(ROBOT, "coulomb@rail", (slot,)),))
+        own = replace(own, base=np.where(np.arange(len(own.base)) == slot, width, own.base))
+        z = np.concatenate([own.zero()[: own.places[0].start], [0.3, 0.0]])
+        return settled(Model(model.predictor, gauss_newton(model.predictor, own, z, sizes, rounds=6)), sizes)
+
+    near, far = begun(0.02), begun(1.2)
+    assert far.fit.point.eta[0, slot] == pytest.approx(near.fit.point.eta[0, slot], rel=0.2)
+    assert far.deviance < near.deviance + 3.0
 
 
 def test_trap_6_the_noise_of_a_channel_comes_from_the_likelihood_and_not_from_differences():
