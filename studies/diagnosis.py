@@ -12,7 +12,7 @@ from studies.calibration import PLANT_FILE, Records, again, notes, read_records,
 from studies.catalogue import equation, symbols
 from studies.cli import DONE
 from studies.referee import handed_out
-from studies.verdict import ended, next_step, sentences, sizes
+from studies.verdict import ended, next_step, sentences, sizes, where
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.answer import Cause, Diagnosis, NextExperiment
 from workbench.diagnose.calibrate import trajectories
@@ -226,7 +226,7 @@ def _gain_tables(found: Diagnosis, held_out: bool) -> tuple[Table, ...]:
         return ()
     header = ("cause", "record", "channel", "horizon", "without", "with", "unit")
     caption = (
-        f"Root mean square on {_on(held_out)}, without each cause and with it; all other causes are in both, and the "
+        f"Root mean square on {where(held_out)}, without each cause and with it; all other causes are in both, and the "
         "parameters are recalibrated in both."
     )
     return (Table("Gain of each cause", header, rows, caption=caption),)

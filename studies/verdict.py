@@ -67,9 +67,10 @@ def _named(cause: Cause, held_out: bool) -> str:
     if cause.doubt:
         said.append(f"Not sure: {ended(cause.doubt)}")
     if best := _best_gain(cause.gains):
-        where = _where(held_out)
         change = f"from {best.before:.3g} to {best.after:.3g}{_unit(best.unit)}"
-        said.append(f"With the parameters recalibrated it takes the {best.horizon} error of {best.channel} on {where} {change}.")
+        said.append(
+            f"With the parameters recalibrated it takes the {best.horizon} error of {best.channel} on {where(held_out)} {change}."
+        )
     if cause.ties:
         rivals = ", ".join(f"{key} ({100 * weight:.0f} %)" for key, weight in cause.ties.items())
         said.append(f"These records cannot tell it ({100 * cause.evidence.posterior:.0f} %) from {rivals}.")
@@ -97,7 +98,8 @@ def _staged(errors: Sequence[StageError], held_out: bool) -> str:
     names = ("from the data sheet", "recalibrated", "extended")
     steps = [f"{level:.3g}{_unit(unit)} {stage}" for level, stage in zip(levels, names, strict=True) if np.isfinite(level)]
     same = levels[1] == levels[2]
-    return f"Full-run error of {name} on {_where(held_out)}: {', '.join(steps[:-1] if same else steps)}."
+    on = "held-out records" if held_out else "these records (none was held out)"
+    return f"Full-run error of {name} on {on}: {', '.join(steps[:-1] if same else steps)}."
 
 
 def reach(found: Diagnosis) -> str:
@@ -140,8 +142,9 @@ def ended(sentence: str) -> str:
     return f"{sentence[:1].upper()}{sentence[1:]}."
 
 
-def _where(held_out: bool) -> str:
-    return "held-out records" if held_out else "these records (none was held out)"
+def where(held_out: bool) -> str:
+    """The records on which a gain is measured."""
+    return "held-out records" if held_out else "parts of these records, each left out of the fit in turn (none was held out)"
 
 
 def _unit(unit: str) -> str:

@@ -128,7 +128,8 @@ def calibrate(
 ) -> Calibration:
     """Fit the parameters called `names` (default: all with a tolerance, and those with a bound) to the records.
 
-    held_out: records on which the fits are compared with each other and with the plant as it came (default: the same records).
+    held_out: records on which the fits are compared with each other and with the plant as it came (default: parts of the same
+    records, each left out of the fit in turn).
 
     A parameter that would leave its bounds is held there and the others are fitted again. A bound is also the tolerance of a
     parameter that has none. Raises InputError for unknown names, bounds upside down or without the nominal value, and

@@ -1,6 +1,6 @@
 """Is a named effect real? What it gains on records left out, and whether it has the same size in all of them.
 
-Both use the normal equations of the fit. A fold f in the light of the others r, with A = J'J + priors and b = J'e + priors:
+All use the normal equations of the fit. A fold f in the light of the others r, with A = J'J + priors and b = J'e + priors:
 
     -2 log p(y_f | y_r) = |e_f|^2 + log det S_f + (b_r' A_r^-1 b_r - b' A^-1 b) + (log det A - log det A_r)
 """
@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from workbench.diagnose.fit import _inverse
+from workbench.diagnose.fit import _evaluate, _inverse
+from workbench.diagnose.predictor import Point
 from workbench.diagnose.refit import Model
 from workbench.records import field, record
 
@@ -19,6 +20,7 @@ SURE = 40.0  # twice the log-likelihood
 ORDER = 3.0  # standard deviations of a size before anything is seen, over the size that was found
 NONE = 1e-100  # a size at its bound of 0 stays there
 PIECES = 4  # one record is cut into so many
+SHARES = (1.0, 0.5, 0.25, 0.0)  # of a step to the fit without a fold, of which the best is taken
 
 
 @record
@@ -30,12 +32,34 @@ class Fold:
     last: int
 
 
-def folds(model: Model) -> list[Fold]:
-    """Every record, or pieces of a single one."""
+def folds(model: Model, *, least: int = 1) -> list[Fold]:
+    """Every record, or pieces of a single one; least: the number of pieces that a record is cut into where there are more."""
     lengths = [len(r) for r in model.predictor.records]
-    if len(lengths) > 1:
-        return [Fold(i, 0, N) for i, N in enumerate(lengths)]
-    return [Fold(0, lengths[0] * k // PIECES, lengths[0] * (k + 1) // PIECES) for k in range(PIECES)]
+    pieces = least if len(lengths) > 1 else PIECES
+    return [Fold(i, N * k // pieces, N * (k + 1) // pieces) for i, N in enumerate(lengths) for k in range(pieces)]
+
+
+def left_out_points(model: Model) -> list[tuple[Fold, Point]]:
+    """Parts that cover the records, and for each what the fit finds without it; where the record starts is found with it.
+
+    From the fit to all a Gauss-Newton step, of which the share is taken that suits the other parts best. No record is left out
+    whole: the others do not know at which angle its periodic effects are.
+    """
+    fit, found, A, nx = model.fit, [], model.fit.information, model.fit.unknowns.split[1]
+    for fold in folds(model, least=max(2, -(-PIECES // len(model.predictor.records)))):
+        A_r, _, _, b_f = _normal(model, fold)
+        d = np.sqrt(np.diag(A_r))
+        step = np.linalg.solve(A_r / np.outer(d, d) + 1e-12 * np.eye(len(d)), b_f / d) / d
+        first = fit.unknowns.split[0] + fold.record * nx
+        own, rest = np.arange(first, first + nx), np.delete(np.arange(len(step)), np.s_[first : first + nx])
+        step[own] = -_inverse(A[np.ix_(own, own)]) @ A[np.ix_(own, rest)] @ step[rest]
+        tried = _evaluate(model.predictor, fit.unknowns, [fit.unknowns.clip(fit.z + s * step) for s in SHARES], fit.jacobian)
+        costs = []
+        for one in tried:
+            own = float(np.sum(one.errors[fold.record][fold.first : fold.last] ** 2))
+            costs.append(one.cost - own if np.isfinite(one.cost) else np.inf)
+        found.append((fold, fit.unknowns.point(tried[int(np.argmin(costs))].z)))
+    return found
 
 
 @record
@@ -79,6 +103,13 @@ def _deviances(model: Model, i: int) -> np.ndarray:
 
 def _surprise(model: Model, fold: Fold) -> float:
     """-2 log p(y_f | y_r) of a fold f in the light of the others r; see the module."""
+    A_r, b_r, A_f, b_f = _normal(model, fold)
+    (reach, log_det), (reach_r, log_det_r) = _solved(A_r + A_f, b_r + b_f), _solved(A_r, b_r)
+    return float(_deviances(model, fold.record)[fold.first : fold.last].sum()) + reach_r - reach + log_det - log_det_r
+
+
+def _normal(model: Model, fold: Fold) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A and b of the others with the priors, and of the fold."""
     fit, unknowns, i = model.fit, model.fit.unknowns, fold.record
     lent, pull = _lent(model)
     A_r, b_r = np.diag(unknowns.believed + lent), fit.prior + pull
@@ -91,8 +122,7 @@ def _surprise(model: Model, fold: Fold) -> float:
         for A, b, rows in ((A_f, b_f, inside), (A_r, b_r, ~inside)):
             A[np.ix_(own, own)] += J[rows].T @ J[rows]
             b[own] += J[rows].T @ e.ravel()[rows]
-    (reach, log_det), (reach_r, log_det_r) = _solved(A_r + A_f, b_r + b_f), _solved(A_r, b_r)
-    return float(_deviances(model, i)[fold.first : fold.last].sum()) + reach_r - reach + log_det - log_det_r
+    return A_r, b_r, A_f, b_f
 
 
 def _lent(model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
 from workbench.diagnose.experiments import Template, deciding
 from workbench.diagnose.fit import gauss_newton
-from workbench.diagnose.free_run import simulated
+from workbench.diagnose.free_run import filtered, simulated
 from workbench.diagnose.gains import ahead
 from workbench.diagnose.lags import FAR, timed
 from workbench.diagnose.predictor import Noise, predictor
@@ -48,6 +48,9 @@ KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
+LAWS = (
+    0.05  # share of what causes gain up to which what is left may be the ideal form of their laws: noted, no verdict of its own
+)
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
@@ -101,7 +104,8 @@ def diagnose(
     anyway: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
-    """What `plant` lacks to explain the records of `dataset`; gains are of `held_out`, or of `dataset` where there is none.
+    """What `plant` lacks to explain the records of `dataset`; gains are of `held_out`; where there is none, of parts of
+    `dataset`, each left out of the fit in turn.
 
     templates: experiments that the machine could run, among which the one is sought that would tell causes apart which tie.
     drift: whether torques that nobody logged may come and go as noise. Such a noise may take in what changes at reversals only,
@@ -135,7 +139,7 @@ def diagnose(
         given = as_given(plant, dataset, drift=False, threads=threads)
     objections = judge.objections("extended" if steps else "recalibrated", given, model)
     kept = bool(objections) and not steps  # what names nothing must not bend parameters either
-    rounds = tuple(_rounded(plant, r) for r in rounded(model.predictor))
+    rounds = tuple(_rounded(plant, r) for r in rounded(filtered(model).predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     finding, beyond = _with_rounding(found, [c.place for c in rounds]), _beyond(base, model)
     if finding is Finding.NAMED and steps and (beyond or objections):
@@ -233,7 +237,9 @@ class _Found:
     @property
     def finding(self) -> Finding:
         found = _finding(self.steps, self.left, self.model)
-        if self.local or self.refused:  # all is not well, whatever the remainder is like
+        if self.refused or (
+            self.local and self.local.gain > LAWS * sum(s.gain for s in self.steps)
+        ):  # whatever the remainder is like
             return {Finding.NOTHING: Finding.UNKNOWN, Finding.NAMED: Finding.INCOMPLETE}.get(found, found)
         return found
 
@@ -316,7 +322,7 @@ class _Search:
             self.lesser.met.append(model)
             if not found or found[0].p_family > ALPHA:
                 break
-            step = _step(model, found, self.lesser.sizes, steps, self.most, self.progress)
+            step = _step(model, found, self.lesser, steps, self.most, self.progress)
             if not isinstance(step, Step):
                 self.local = step
                 self.unresolved = _unresolved(found, model)
@@ -366,12 +372,18 @@ def _measurable(model: Model, key: str) -> bool:
 
 
 def _step(
-    model: Model, found: Sequence[Score], sizes: np.ndarray, steps: Sequence[Step], most: float, progress: Callable[[str], None]
+    model: Model,
+    found: Sequence[Score],
+    lesser: "_Lesser",
+    steps: Sequence[Step],
+    most: float,
+    progress: Callable[[str], None],
 ) -> Step | Local | None:
     """The best extension of the model by one effect, if it holds; most: errors a second ahead, after over before.
 
     Where none holds, the one that would but for the records that are left out.
     """
+    sizes = lesser.sizes
     short = _with_late(model, shortlist([s for s in found if s.p_family < ALPHA]), found)
     short = _with_family(model.predictor.plant, short, found)
     progress(f"refitting {', '.join(s.key for s in short)}")
@@ -410,9 +422,13 @@ def _step(
         # what the likelihood puts first helps nothing a second ahead: what it puts behind may
         tried, significant = {s.key for s in short}, [s for s in found if s.p_family < ALPHA]
         if rest := [s for s in significant if s.key not in tried]:
-            return _step(model, rest, sizes, steps, most, progress)
+            return _step(model, rest, lesser, steps, most, progress)
     if not held:
-        told = (_local(model, m, s.key) for m, s in worthy if model.bic - m.bic > LOCAL or s.p_family < LEFT_OVER)
+        told = (
+            _local(model, m, s.key)
+            for m, s in worthy
+            if (model.bic - m.bic > LOCAL or s.p_family < LEFT_OVER) and lesser.of(m, s.key).bic - m.bic > WORTH
+        )
         return next(told, None)
     best, score = held[0]
     tying = _rivals(model, best, score.key, worthy)
@@ -739,8 +755,8 @@ def _finding(steps: Sequence[Step], left: Sequence[Left], model: Model) -> Findi
     worst = min((x.p_family for x in left), default=1.0)
     if not steps:
         return Finding.UNKNOWN if worst < ALPHA and _visible(left, model) else Finding.NOTHING
-    if worst < LEFT_OVER and _visible(left, model):
-        strongest = max(x.statistic for x in left if x.p_family < LEFT_OVER)
+    strongest = max((x.statistic for x in left if x.p_family < LEFT_OVER), default=0.0)
+    if strongest > LAWS * sum(s.gain for s in steps) and _visible(left, model):
         unstable = any(s.stable < LEFT_OVER for s in steps)
         return Finding.UNKNOWN if strongest > UNTOLD * sum(s.gain for s in steps) and unstable else Finding.INCOMPLETE
     return Finding.INCOMPLETE if any(s.stable < LEFT_OVER for s in steps) else Finding.NAMED

@@ -1,14 +1,17 @@
 """What an extension gains on records: errors one step ahead, one second ahead, and over the whole record.
 
-Parameters and effects stay as they were found; where a record starts, and at which angle its periodic effects, is found on it.
+On held-out records parameters and effects stay as they were found; where a record starts, and at which angle its periodic
+effects, is found on it. On the records of the fit each part is predicted with what the fit finds without it.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from workbench.data import Dataset
 from workbench.diagnose.answer import Gain
+from workbench.diagnose.confirm import left_out_points
 from workbench.diagnose.fit import Unknowns, gauss_newton
 from workbench.diagnose.free_run import filtered
 from workbench.diagnose.predictor import Point, Predictor, predictor
@@ -169,23 +172,50 @@ def errors_on(model: Model, dataset: Dataset) -> Held:
     """
     made, point = on(filtered(model), dataset)
     weighing, at = on(model, dataset) if model.predictor.simulated else (made, point)
-    found, squares, deviance = [], [], 0.0
-    for i, r in enumerate(made.records):
-        measured = np.asarray(np.isfinite(r.y).any(axis=0))
+    squares = [{horizon: _squares(made, point, i, horizon) for horizon in HORIZONS} for i in range(len(made.records))]
+    return _held(made, squares, float(np.sum([_deviances(weighing, at, i)[SETTLING:].sum() for i in range(len(made.records))])))
+
+
+def errors_left_out(model: Model) -> Held:
+    """The same on the model's own records, each part of them with the parameters that the fit finds without it."""
+    made = filtered(model).predictor
+    squares = [{horizon: np.full_like(r.y[SETTLING:], np.nan) for horizon in HORIZONS} for r in made.records]
+    deviance = 0.0
+    for fold, point in left_out_points(model):
+        i, part = fold.record, slice(max(fold.first - SETTLING, 0), max(fold.last - SETTLING, 0))
         for horizon in HORIZONS:
-            with np.errstate(over="ignore", invalid="ignore"):
-                e = errors(made, point, i, horizon)[SETTLING:, measured]
-                square = np.where(np.abs(e) < LOST, e**2, np.where(np.isnan(r.y[SETTLING:, measured]), np.nan, np.inf))
-            if horizon == "one-second":  # its first second has no error
-                square[np.isnan(e)] = np.nan
-            for channel, own in zip(np.flatnonzero(measured), square.T, strict=True):
-                c, told = made.plant.outputs[channel], own[~np.isnan(own)]
+            squares[i][horizon][part] = _squares(made, point, i, horizon)[part]
+        deviance += float(_deviances(model.predictor, point, i)[SETTLING:][part].sum())
+    return _held(made, squares, deviance)
+
+
+def _squares(made: Predictor, point: Point, i: int, horizon: str) -> np.ndarray:
+    """Squared errors (N - SETTLING, ny) of record i; NaN where there is none, inf where the run was lost."""
+    y = made.records[i].y[SETTLING:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        e = errors(made, point, i, horizon)[SETTLING:]
+        square = np.where(np.abs(e) < LOST, e**2, np.where(np.isnan(y), np.nan, np.inf))
+    if horizon == "one-second":  # its first second has no error
+        square[np.isnan(e)] = np.nan
+    return square
+
+
+def _deviances(made: Predictor, at: Point, i: int) -> np.ndarray:
+    return made.deviances(i, made.errors(i, at.p[None], at.eta[i][None], at.start[i][None])[0])
+
+
+def _held(made: Predictor, squares: Sequence[Mapping[str, np.ndarray]], deviance: float) -> Held:
+    """Scores of squared errors by record and horizon."""
+    found, kept = [], []
+    for r, by_horizon in zip(made.records, squares, strict=True):
+        for horizon, square in by_horizon.items():
+            for channel in np.flatnonzero(np.isfinite(r.y).any(axis=0)):
+                c, own = made.plant.outputs[channel], square[:, channel]
+                told = own[~np.isnan(own)]
                 rms = float(np.sqrt(told.mean())) if len(told) else np.nan
                 found.append(Score(r.name, horizon, c.name, c.unit, rms if rms < np.inf else np.nan))
-                squares.append(own)
-        white = weighing.errors(i, at.p[None], at.eta[i][None], at.start[i][None])[0]
-        deviance += float(weighing.deviances(i, white)[SETTLING:].sum())
-    return Held(tuple(found), deviance, tuple(squares), made.plant.dt)
+                kept.append(own)
+    return Held(tuple(found), deviance, tuple(kept), made.plant.dt)
 
 
 def gained(before: Held, after: Held) -> tuple[Gain, ...]:

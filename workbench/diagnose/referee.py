@@ -13,7 +13,7 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.diagnose.answer import Gain
 from workbench.diagnose.free_run import simulated
-from workbench.diagnose.gains import HORIZONS, Held, errors_on, gained
+from workbench.diagnose.gains import HORIZONS, Held, errors_left_out, errors_on, gained
 from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.diagnose.refit import Model
@@ -97,7 +97,7 @@ def _correlated(d: np.ndarray) -> int:
 
 
 class Judge:
-    """Models on held-out records, each computed once; on their own records where none is held out."""
+    """Models on held-out records, each computed once; where none is held out, on parts of their own that the fit has left out."""
 
     def __init__(self, dataset: Dataset, held_out: bool):
         self.dataset, self.held_out, self._known = dataset, held_out, []
@@ -106,7 +106,7 @@ class Judge:
         for other, held in self._known:
             if other is model:
                 return held
-        self._known.append((model, errors_on(model, self.dataset)))
+        self._known.append((model, errors_on(model, self.dataset) if self.held_out else errors_left_out(model)))
         return self._known[-1][1]
 
     def between(self, before: Model, after: Model) -> tuple[Change, ...]:
@@ -134,7 +134,7 @@ class Judge:
 
     def objections(self, what: str, given: Model, model: Model) -> tuple[str, ...]:
         """A sentence for each channel and horizon where a model is worse than the one that it replaces."""
-        where = "held-out records" if self.held_out else "these records (none was held out)"
+        where = "held-out records" if self.held_out else "parts of these records, each left out of the fit in turn"
         return tuple(
             f"the {what} plant is worse than the one that it replaces, on {where}: {c}" for c in worse(self.between(given, model))
         )

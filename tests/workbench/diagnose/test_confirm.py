@@ -8,9 +8,11 @@ from scipy.stats import kstest
 
 from tests.workbench.diagnose.cases import AXIS, axis_predictor, axis_records, fitted, refitted
 from workbench.data import Dataset
-from workbench.diagnose.confirm import ORDER, PIECES, LeftOut, folds, left_out, stability
+from workbench.diagnose.confirm import ORDER, PIECES, LeftOut, folds, left_out, left_out_points, stability
 from workbench.diagnose.fit import Fit, gauss_newton, term
+from workbench.diagnose.gains import HORIZONS, errors_left_out, errors_on
 from workbench.diagnose.kalman import Pass
+from workbench.diagnose.predictor import predictor
 from workbench.diagnose.recalibrate import unknowns
 from workbench.diagnose.refit import Model
 
@@ -282,3 +284,47 @@ def test_a_size_that_only_the_second_output_shows_to_change_within_a_record_is_u
     zero = replace(fit, z=np.zeros_like(fit.z), errors=(e - (fit.jacobian[0] @ fit.z).reshape(e.shape),))
     assert stability(same, OFFSET) > 0.01
     assert stability(_at_its_minimum(Model(changed.predictor, zero)), OFFSET) < 1e-3
+
+
+# ---- parts that the fit leaves out ------------------------------------------------------------------------------------------
+
+
+def test_what_a_fit_finds_without_a_part_is_what_it_finds_on_the_others():
+    """By the step from the fit to all, and by a fit to records of which that part is cut off."""
+    data = axis_records(12, parameters={"M": 100.0, "Fv": 180.0}, records=4, samples=400)
+    model = fitted(data)
+    found = left_out_points(model)
+    assert [(f.record, f.first, f.last) for f, _ in found] == [(i, k, k + 200) for i in range(4) for k in (0, 200)]
+    off, moved = [], []
+    for fold, point in found:
+        left = slice(fold.last, 400) if fold.first == 0 else slice(0, fold.first)
+        cut = [replace(e, t=e.t[left], values=e.values[left]) if i == fold.record else e for i, e in enumerate(data)]
+        other = predictor(AXIS, Dataset(tuple(cut)))
+        other = other.regained(other.point, model.predictor.noise)
+        own = unknowns(other)
+        alone = gauss_newton(other, own, own.zero(), np.zeros(len(AXIS.slots)), rounds=6).point.p
+        off.append(point.p / alone - 1.0)
+        moved.append(model.fit.point.p / alone - 1.0)
+    assert np.linalg.norm(off) < 0.2 * np.linalg.norm(moved)
+
+
+def test_parts_cover_every_record_once():
+    for records in (1, 2, 3, 5):
+        model = fitted(axis_records(13, records=records, samples=240))
+        covered = [np.zeros(240, dtype=int) for _ in range(records)]
+        for fold, _ in left_out_points(model):
+            covered[fold.record][fold.first : fold.last] += 1
+        assert all((c == 1).all() for c in covered)
+
+
+def test_errors_on_parts_that_were_left_out_are_those_of_other_parameters_and_larger():
+    """On average: what a fit has seen it errs less on than what it has not."""
+    seen, unseen = [], []
+    for seed in range(8):
+        data = axis_records(40 + seed, parameters={"M": 100.0, "Fv": 180.0}, records=1, samples=120)
+        model = fitted(data)
+        for of, held in ((seen, errors_on(model, data)), (unseen, errors_left_out(model))):
+            of.append({s.horizon: s.error for s in held.scores})
+    ratio = {h: np.mean([u[h] / s[h] for s, u in zip(seen, unseen, strict=True)]) for h in HORIZONS}
+    assert 1.0 < ratio["one-step"] < 1.1  # the first part has its start
+    assert 1.02 < ratio["full-run"] < 3.0

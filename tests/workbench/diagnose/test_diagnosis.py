@@ -218,6 +218,40 @@ def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, bey
     assert bool(doubt) is bool(said)
 
 
+@pytest.mark.parametrize(
+    ("statistic", "p", "stable", "finding"),
+    [
+        (49.0, 1e-9, 0.5, Finding.NAMED),  # a law is an ideal, and 5 % of what it explains may be its form
+        (51.0, 1e-9, 0.5, Finding.INCOMPLETE),
+        (51.0, 1e-3, 0.5, Finding.NAMED),  # not sure beside a cause
+        (51.0, 1e-9, 1e-5, Finding.INCOMPLETE),
+        (10.0, 1e-9, 1e-5, Finding.INCOMPLETE),
+        (600.0, 1e-9, 1e-5, Finding.UNKNOWN),
+    ],
+)
+def test_what_is_left_beside_a_cause_counts_by_its_share_of_what_the_cause_explains(statistic, p, stable, finding):
+    left = [SimpleNamespace(p_family=p, statistic=statistic)]
+    model = SimpleNamespace(predictor=SimpleNamespace(samples=1000))
+    assert diagnosis._finding([SimpleNamespace(gain=1000.0, stable=stable)], left, model) is finding
+
+
+@pytest.mark.parametrize(("gain", "finding"), [(30.0, Finding.NAMED), (60.0, Finding.INCOMPLETE)])
+def test_an_odd_record_counts_by_its_share_of_what_the_causes_explain(gain, finding):
+    model = SimpleNamespace(predictor=SimpleNamespace(samples=1000))
+    step = SimpleNamespace(gain=1000.0, stable=0.5, after=model)
+    local = diagnosis.Local("sensor-gain@y", gain, ("binary 2",))
+    found = diagnosis._Found(model, (step,), (SimpleNamespace(p_family=1.0, statistic=0.1),), (), None, local)
+    assert found.finding is finding
+
+
+@pytest.mark.parametrize(("statistic", "p", "told"), [(40.0, 1e-6, True), (40.0, 1e-3, False), (0.3, 1e-6, False)])
+def test_what_shows_clearly_but_has_no_size_stands_beside_what_is_named(statistic, p, told):
+    shown = [Score("backlash@y", None, (), statistic, p, p), Score("offset@u", None, (), 5.0, 0.5, 0.5)]
+    found = diagnosis._unresolved(shown, SimpleNamespace(predictor=SimpleNamespace(samples=1000)))
+    assert (found is not None) is told
+    assert not told or (found.key, found.statistic) == ("backlash@y", statistic)
+
+
 def test_a_model_freed_of_an_effect_is_no_worse_than_one_without_it_that_was_met_before():
     """Freed of the effect it may be lost, and whatever it is compared with would look like a gain."""
     model = fitted(robot_records(3, {"coulomb@rail": {"level": 0.3}}))
