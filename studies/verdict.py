@@ -26,6 +26,7 @@ TIED = (
     "NAMED, with a tie: what the simulation of {plant} lacks has a size, and more than one name that these records cannot tell "
     "apart; go on with the extended plant, and tell the causes apart before mending the machine."
 )
+ROUNDED = "quantisation"
 #: What an all-clear is asked about first, in plain words.
 COMMON = {"coulomb": "dry friction", "offset": "an offset", "input-delay": "a dead time", "sensor-gain": "a wrong scale"}
 
@@ -55,8 +56,9 @@ def _headline(found: Diagnosis) -> str:
     if found.finding is Finding.NAMED and any(cause.ties for cause in found.causes):
         return TIED.format(plant=found.plant)
     if any(cause.doubt for cause in found.causes):
-        sure = [cause.key for cause in found.causes if not cause.doubt]
-        which = f"sure is {' and '.join(sure)}" if sure else "none of the causes below is sure"
+        sure = [cause.key for cause in found.causes if not cause.doubt and cause.effect != ROUNDED]
+        apart = ", the rounding of readings apart" if any(cause.effect == ROUNDED for cause in found.causes) else ""
+        which = f"sure is {' and '.join(sure)}" if sure else f"none of the causes below is sure{apart}"
         return UNSURE.format(plant=found.plant, sure=which)
     return HEADLINES[found.finding].format(plant=found.plant)
 

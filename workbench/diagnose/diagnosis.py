@@ -4,7 +4,7 @@ recalibrate -> screen -> refit -> confirm -> extend, again while something is fo
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,9 +48,7 @@ KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
-LAWS = (
-    0.05  # share of what causes gain up to which what is left may be the ideal form of their laws: noted, no verdict of its own
-)
+LAWS = 0.05  # share of what causes gain up to which what is left may be the ideal form of their laws
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve
@@ -60,6 +58,7 @@ RIVALS, SWAP = 4, 60.0  # of each cause, tried in its place beside the others; B
 MOST = 3
 FREED = 3  # times that what an effect gains may turn out to be a better fit of all else
 MATTERS, MATTERS_ALONE = 0.01, 0.005  # share of an error that a further cause must take off; where nothing is left without a name
+HARM = 0.1  # share of an error by which a cause may raise it and be sure
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
 ROUNDED, PLAY = "quantisation", "backlash"
@@ -142,15 +141,11 @@ def diagnose(
     rounds = tuple(_rounded(plant, r) for r in rounded(filtered(model).predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     finding, beyond = _with_rounding(found, [c.place for c in rounds]), _beyond(base, model)
-    if finding is Finding.NAMED and steps and (beyond or objections):
+    harm = {s.key: _harm(judge, s) for s in steps}
+    if finding is Finding.NAMED and steps and (beyond or objections or any(harm.values())):
         finding = Finding.INCOMPLETE
-    causes = tuple(
-        replace(
-            _cause(plant, s, model, judge.gained(s.before, s.after)),
-            doubt=_doubt(s, bool(beyond), bool(objections)) if finding is Finding.INCOMPLETE else "",
-        )
-        for s in steps
-    )
+    doubts = _doubts(steps, bool(beyond), bool(objections), harm) if finding is Finding.INCOMPLETE else {}
+    causes = tuple(replace(_cause(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts.get(s.key, "")) for s in steps)
     return Diagnosis(
         plant=plant.name,
         finding=finding,
@@ -237,9 +232,8 @@ class _Found:
     @property
     def finding(self) -> Finding:
         found = _finding(self.steps, self.left, self.model)
-        if self.refused or (
-            self.local and self.local.gain > LAWS * sum(s.gain for s in self.steps)
-        ):  # whatever the remainder is like
+        odd = self.local is not None and self.local.gain > LAWS * sum(s.gain for s in self.steps)
+        if odd or self.refused:  # all is not well, whatever the remainder is like
             return {Finding.NOTHING: Finding.UNKNOWN, Finding.NAMED: Finding.INCOMPLETE}.get(found, found)
         return found
 
@@ -787,12 +781,30 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
     )
 
 
-def _doubt(step: Step, beyond: bool, worse_than_given: bool) -> str:
+def _harm(judge: Judge, step: Step) -> str:
+    """The error one step or one second ahead that a cause raises most, by more than noise and a share of HARM; empty if none."""
+    found = [c for c in harms(judge.between(step.before, step.after)) if c.share < -HARM]
+    return str(min(found, key=lambda c: c.share)) if found else ""
+
+
+def _doubts(steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str]) -> dict[str, str]:
+    """What speaks against each cause of an incomplete answer; what was found beside one that is not sure is not sure either."""
+    doubts, unsure = {}, ""
+    for s in sorted(steps, key=lambda s: -s.gain):
+        own = _doubt(s, beyond, worse_than_given, harm[s.key])
+        doubts[s.key] = own or (f"it was found beside {unsure}, which is not sure" if unsure else "")
+        unsure = unsure or (s.key if own else "")
+    return doubts
+
+
+def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str) -> str:
     """What speaks against a cause of an incomplete answer, empty where nothing does; beyond: parameters left their tolerance."""
     if step.stable < LEFT_OVER:
         return "its size differs between the records"
     if worse_than_given:
-        return "the extended plant is worse on held-out records than the plant that came"
+        return "the extended plant is worse on records that it has not seen than the plant that came"
+    if harm:
+        return f"it raises an error on records that it has not seen, {harm}"
     return "it needs parameters far from their data sheet" if beyond else ""
 
 

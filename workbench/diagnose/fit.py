@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from workbench.diagnose.predictor import Point, Predictor
+from workbench.physics.effects.effect import GridUnit
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
@@ -148,12 +149,12 @@ class Unknowns:
         return z
 
     def recentred(self, z: np.ndarray) -> tuple["Unknowns", np.ndarray]:
-        """Unknowns about the shapes that stand at the end of their range, and z there; as they are where none does."""
+        """Unknowns about the shapes, dates apart, that stand at the end of their range, and z there; the same where none does."""
         base, z = self.base.copy(), z.copy()
         for t, own in zip(self.terms, self.places, strict=True):
             for j, slot in enumerate(t.free, start=own.start + len(t.sizes)):
                 q = self.plant.slots[slot].parameter
-                if abs(z[j]) >= WIDEST:
+                if abs(z[j]) >= WIDEST and q.grid_unit is not GridUnit.RECORD:
                     base[slot], z[j] = np.clip(base[slot] * np.exp(z[j]), q.low, q.high), 0.0
         return (self, z) if np.array_equal(base, self.base) else (replace(self, base=base), z)
 

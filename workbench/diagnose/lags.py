@@ -60,6 +60,8 @@ def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
 
 def _met(model: Model, key: str) -> list[float]:
     """Time constants of the machine from which the records do not tell the time: there the two minima have become one."""
+    if not _remembers(model.predictor.plant, key):
+        return []
     time, at = _time(model, key), _place(model.fit.unknowns, key).start
     reach = INTERVAL * float(np.sqrt(model.fit.covariance[at, at]))
     return [T for T in _time_constants(model) if abs(T - time) < reach]
@@ -71,9 +73,14 @@ def shifts(plant: Plant, key: str) -> bool:
     return effect.domain is Domain.SHIFT and effect.sizes[0].unit == "s"
 
 
+def _remembers(plant: Plant, key: str) -> bool:
+    """Whether an effect is a lag or a resonance; a dead time is no time constant."""
+    return any(slot.effect.memories > 0 for slot in plant.slots if slot.key == key)
+
+
 def _exchangeable(model: Model, key: str) -> bool:
     """Whether the time may be that of something else: a parameter has left its data sheet, or goes with the time, or the machine
-    with its time and the sensor with the machine's would keep the data sheet as well. A dead time is no time constant.
+    with its time and the sensor with the machine's would keep the data sheet as well.
     """
     time, n = _time(model, key), model.fit.unknowns.split[0]
     if not time > 0.0 or n == 0:
@@ -82,7 +89,7 @@ def _exchangeable(model: Model, key: str) -> bool:
     scale = np.sqrt(np.diag(C))
     if model.farthest > FAR or np.any(np.abs(C[at, :n]) > TOGETHER * scale[at] * scale[:n]):
         return True
-    if not next(slot.effect.memories for slot in model.predictor.plant.slots if slot.key == key):
+    if not _remembers(model.predictor.plant, key):
         return False
     own = _time_constants(model)
     moved = [_time_constants(model, by) for by in STEP * np.eye(n)]

@@ -14,6 +14,7 @@ from workbench.data import Dataset
 from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnose.referee import Change
 from workbench.diagnose.screen import Score
 from workbench.physics.controller import Playback
 from workbench.simulate import Scenario, simulate
@@ -209,13 +210,37 @@ def test_a_cause_is_not_sure_where_parameters_have_left_their_data_sheet(toleran
 
 
 @pytest.mark.parametrize(
-    ("stable", "beyond", "worse", "said"),
-    [(0.5, False, False, ""), (1e-5, False, False, "size"), (0.5, True, False, "data sheet"), (0.5, False, True, "held-out")],
+    ("stable", "beyond", "worse", "harm", "said"),
+    [
+        (0.5, False, False, "", ""),
+        (1e-5, False, False, "", "size"),
+        (0.5, True, False, "", "data sheet"),
+        (0.5, False, True, "", "plant that came"),
+        (0.5, False, False, "h one-second: 1 before, 2 after [m]", "raises an error"),
+    ],
 )
-def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, beyond, worse, said):
-    doubt = diagnosis._doubt(SimpleNamespace(stable=stable), beyond, worse)
+def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, beyond, worse, harm, said):
+    doubt = diagnosis._doubt(SimpleNamespace(stable=stable), beyond, worse, harm)
     assert said in doubt
     assert bool(doubt) is bool(said)
+
+
+def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
+    steps = [SimpleNamespace(key=key, gain=gain, stable=0.5) for key, gain in (("a@x", 40.0), ("b@x", 700.0), ("c@x", 900.0))]
+    doubts = diagnosis._doubts(steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""})
+    assert doubts["c@x"] == ""  # it was there before
+    assert doubts["b@x"].startswith("it raises an error")
+    assert doubts["a@x"] == "it was found beside b@x, which is not sure"
+
+
+@pytest.mark.parametrize(
+    ("after", "sure", "harms"), [(1.09, True, False), (1.12, True, True), (1.5, False, False), (0.5, True, False)]
+)
+def test_a_cause_that_raises_an_error_for_sure_is_told(after, sure, harms):
+    found = (Change("v", "one-second", "m/s", 1.0, after, sure), Change("v", "one-step", "m/s", 1.0, 0.9, True))
+    said = diagnosis._harm(SimpleNamespace(between=lambda before, after: found), SimpleNamespace(before=None, after=None))
+    assert bool(said) is harms
+    assert not harms or said.startswith("v one-second: 1 before")
 
 
 @pytest.mark.parametrize(
