@@ -12,7 +12,7 @@ from studies.calibration import PLANT_FILE, Records, again, notes, read_records,
 from studies.catalogue import equation, symbols
 from studies.cli import DONE
 from studies.referee import handed_out
-from studies.verdict import ended, next_step, sentences, sizes, where
+from studies.verdict import ended, next_step, sentences, stated, where
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.answer import Cause, Diagnosis, NextExperiment
 from workbench.diagnose.calibrate import trajectories
@@ -159,8 +159,7 @@ def _cause_blocks(nominal: Plant, found: Diagnosis, own: Dataset, held: Dataset)
     """A sentence and a picture for each cause, then the evidence; nominal: the plant with recalibrated parameters."""
     blocks: list[Block] = []
     for cause in found.causes:
-        doubt = f" Not sure: {ended(cause.doubt)}" if cause.doubt else ""
-        blocks.append(Text(f"{ended(cause.sentence)} {cause.key}: {sizes(cause)}.{doubt}\n\n{_equation(nominal, cause)}"))
+        blocks.append(Text(f"{stated(cause)}\n\n{_equation(nominal, cause)}"))
         drawn = shown(nominal, found.effects, cause.key, own)
         if drawn is None:
             blocks.append(_shifted(nominal, found, cause, Dataset(held.experiments[:1])))

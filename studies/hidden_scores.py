@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from workbench.diagnose.answer import ROUNDED
 from workbench.records import field, record
 
 Row = Mapping[str, Any]
@@ -23,7 +24,6 @@ FAR_OUTSIDE = 5.0  # the same for physics outside the catalogue
 WIDEST_TIE = 3
 SIZES = (0.5, 1.0, 2.0, 4.0, 8.0, 20.0)  # bins of the multiple
 WEIGHTS = (0.0, 0.2, 0.5, 0.8, 0.99, 1.0)  # bins of the stated posterior
-ROUNDED = "quantisation"
 SAME_STEP = 1e-3
 
 

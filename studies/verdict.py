@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.diagnose.answer import Cause, Diagnosis, Finding, Gain, Limit
+from workbench.diagnose.answer import ROUNDED, Cause, Diagnosis, Finding, Gain, Limit
 from workbench.diagnose.stages import StageError
 
 HEADLINES = {
@@ -26,7 +26,6 @@ TIED = (
     "NAMED, with a tie: what the simulation of {plant} lacks has a size, and more than one name that these records cannot tell "
     "apart; go on with the extended plant, and tell the causes apart before mending the machine."
 )
-ROUNDED = "quantisation"
 #: What an all-clear is asked about first, in plain words.
 COMMON = {"coulomb": "dry friction", "offset": "an offset", "input-delay": "a dead time", "sensor-gain": "a wrong scale"}
 
@@ -65,9 +64,7 @@ def _headline(found: Diagnosis) -> str:
 
 def _named(cause: Cause, held_out: bool) -> str:
     """The cause with its size, what speaks against it, its gain and its rivals."""
-    said = [ended(cause.sentence), f"{cause.key}: {sizes(cause)}."]
-    if cause.doubt:
-        said.append(f"Not sure: {ended(cause.doubt)}")
+    said = [stated(cause)]
     if best := _best_gain(cause.gains):
         change = f"from {best.before:.3g} to {best.after:.3g}{_unit(best.unit)}"
         said.append(
@@ -77,6 +74,12 @@ def _named(cause: Cause, held_out: bool) -> str:
         rivals = ", ".join(f"{key} ({100 * weight:.0f} %)" for key, weight in cause.ties.items())
         said.append(f"These records cannot tell it ({100 * cause.evidence.posterior:.0f} %) from {rivals}.")
     return " ".join(said)
+
+
+def stated(cause: Cause) -> str:
+    """What a cause is, its size, and what speaks against it."""
+    doubt = f" Not sure: {ended(cause.doubt)}" if cause.doubt else ""
+    return f"{ended(cause.sentence)} {cause.key}: {sizes(cause)}.{doubt}"
 
 
 def sizes(cause: Cause) -> str:

@@ -9,6 +9,8 @@ import numpy as np
 from workbench.physics.plant import EffectSizes
 from workbench.records import field, record
 
+ROUNDED = "quantisation"  # the effect whose cause is the step of the readings: it says how good a prediction can be
+
 
 class Finding(Enum):
     """The verdict in one word."""

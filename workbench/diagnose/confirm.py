@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from workbench.diagnose.fit import _evaluate, _inverse
+from workbench.diagnose.fit import _evaluate, _inverse, _solve
 from workbench.diagnose.predictor import Point
 from workbench.diagnose.refit import Model
 from workbench.records import field, record
@@ -48,11 +48,10 @@ def left_out_points(model: Model) -> list[tuple[Fold, Point]]:
     fit, found, A, nx = model.fit, [], model.fit.information, model.fit.unknowns.split[1]
     for fold in folds(model, least=max(2, -(-PIECES // len(model.predictor.records)))):
         A_r, _, _, b_f = _normal(model, fold)
-        d = np.sqrt(np.diag(A_r))
-        step = np.linalg.solve(A_r / np.outer(d, d) + 1e-12 * np.eye(len(d)), b_f / d) / d
-        first = fit.unknowns.split[0] + fold.record * nx
-        own, rest = np.arange(first, first + nx), np.delete(np.arange(len(step)), np.s_[first : first + nx])
-        step[own] = -_inverse(A[np.ix_(own, own)]) @ A[np.ix_(own, rest)] @ step[rest]
+        step = _solve(A_r, b_f)
+        begins = fit.unknowns.split[0] + fold.record * nx + np.arange(nx)
+        rest = np.delete(np.arange(len(step)), begins)
+        step[begins] = -_inverse(A[np.ix_(begins, begins)]) @ A[np.ix_(begins, rest)] @ step[rest]
         tried = _evaluate(model.predictor, fit.unknowns, [fit.unknowns.clip(fit.z + s * step) for s in SHARES], fit.jacobian)
         costs = []
         for one in tried:

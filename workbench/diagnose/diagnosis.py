@@ -11,6 +11,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.diagnose.answer import (
+    ROUNDED,
     Cause,
     Diagnosis,
     Estimate,
@@ -61,7 +62,7 @@ MATTERS, MATTERS_ALONE = 0.01, 0.005  # share of an error that a further cause m
 HARM = 0.1  # share of an error by which a cause may raise it and be sure
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
-ROUNDED, PLAY = "quantisation", "backlash"
+PLAY = "backlash"
 NONE = "would explain these records at a size that they do not tell from none"
 DIGITS = 1e-6  # relative, to which the values of a record tell a step
 
