@@ -22,7 +22,7 @@ from workbench.records import field, record
 FARTHEST = 30.0  # of the logarithm of a parameter from nominal: a step of a singular fit must not overflow
 WIDEST = 3.0  # of the logarithm of a shape from where its fit began
 NEAR = 0.1  # standard deviations of the prior
-THETA_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-3, 1e-5
+THETA_STEP, START_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-3, 1e-3, 1e-5
 
 
 @record
@@ -159,9 +159,9 @@ class Unknowns:
         return (self, z) if np.array_equal(base, self.base) else (replace(self, base=base), z)
 
     def steps(self, sizes: np.ndarray) -> np.ndarray:
-        """Step lengths for differences, 0 for starts; sizes (ne): a small size of each effect."""
+        """Step lengths for differences; sizes (ne): a small size of each effect."""
         n, nx, _ = self.split
-        parts = [np.full(n, THETA_STEP), np.zeros(self.records * nx)]
+        parts = [np.full(n, THETA_STEP), np.full(self.records * nx, START_STEP)]
         for t in self.terms:
             rest = [SHAPE_STEP] * len(t.free) + [ANGLE_STEP] * (t.phase * (self.records - 1))
             parts.append(np.array([*(sizes[j] for j in t.sizes), *rest]))
@@ -242,16 +242,17 @@ def jacobian(
     known: Sequence[np.ndarray] = (),
     at: Sequence[np.ndarray] = (),
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """(errors (N, ny), J (N ny, columns)) of every record at z: one batch of lanes a record, starts by linearization.
+    """(errors (N, ny), J (N ny, columns)) of every record at z, by differences: one batch of lanes a record.
 
-    known: a Jacobian whose columns of parameters are taken over. at: the errors at z, where they are known.
+    known: a Jacobian whose columns of parameters and starts are taken over. at: the errors at z, where they are known. What a
+    start does is not taken from the filter's linearization: where something has play, that is no derivative of the errors.
     """
     steps, errors, J = unknowns.steps(sizes), [], []
     n, nx, k = unknowns.split
     low = unknowns.size - k
     for i in range(unknowns.records):
         own = unknowns.columns(i)
-        moved = own[n + nx :] if known else np.delete(own, np.arange(n, n + nx))
+        moved = own[n + nx :] if known else own
         stays = not at or not len(moved)  # a run at z itself
         moves, signed = [z] if stays else [], []
         for j in moved:
@@ -269,9 +270,7 @@ def jacobian(
         here, there = (e[0], e[1:]) if stays else (at[i], e)
         errors.append(here)
         columns = ((there - here).reshape(len(moved), here.size) / np.array(signed)[:, None]).T
-        parameters = known[i][:, :n] if known else columns[:, :n]
-        starts = predictor.by_start[i].reshape(-1, nx) * unknowns.scale[i]
-        J.append(np.concatenate([parameters, starts, columns[:, columns.shape[1] - k :]], axis=1))
+        J.append(np.concatenate([known[i][:, : n + nx], columns], axis=1) if known else columns)
     return tuple(errors), tuple(J)
 
 
@@ -287,7 +286,8 @@ def gauss_newton(
 ) -> Fit:
     """Minimise from z: at most `rounds` Jacobians, each for up to `chords` steps; stops where a step gains less than `enough`.
 
-    Parameters' columns are made anew where a parameter has moved by more than NEAR. A step that gives no numbers is no step.
+    Columns of parameters and starts are made anew where a parameter has moved by more than NEAR. A step that gives no numbers is
+    no step.
     """
     z = unknowns.clip(z)
     fit, known, made_at = None, (), z

@@ -76,20 +76,17 @@ def _run(line: Linearization, process, measurement, K, W, gain, innovations, e, 
     return _filter(F, G, H, present, process**2, measurement**2, K, W, gain, old, e, d, A)
 
 
-def response(
-    line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.ndarray | None = None, start: np.ndarray | None = None
-) -> np.ndarray:
+def response(line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.ndarray | None = None) -> np.ndarray:
     """Change of the innovations (N, ny, c) when push (N, n, c) is added to the states after each sample.
 
-    d+ = F (d + K out) + push,  out = shift - H d:  `shift` (N, ny, c) is an error of the sensors themselves, `start` (n, c) one
-    of the states at the first sample. What was not measured does not change.
+    d+ = F (d + K out) + push,  out = shift - H d:  `shift` (N, ny, c) is an error of the sensors themselves. What was not
+    measured does not change.
     """
-    N, ny, n = line.H.shape
+    N, ny, _ = line.H.shape
     out = np.empty((N, ny, push.shape[2]))
     shift = np.zeros_like(out) if shift is None else shift
-    start = np.zeros((n, push.shape[2])) if start is None else start
     F, H, gain, push, shift = (np.ascontiguousarray(a) for a in (line.F, line.H, gain, push, shift))
-    _respond(F, H, gain, push, shift, start.copy(), out)
+    _respond(F, H, gain, push, shift, out)
     out[~line.present] = 0.0
     return out
 
@@ -266,13 +263,13 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
 
 
 @njit(
-    "void(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1])",
+    "void(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1])",
     cache=True, error_model="numpy",
 )  # fmt: skip
-def _respond(F, H, K, push, shift, d, out):
+def _respond(F, H, K, push, shift, out):
     N, ny, n = H.shape
     c = push.shape[2]
-    x = np.zeros((n, c))
+    d, x = np.zeros((n, c)), np.zeros((n, c))
     for k in range(N):
         for i in range(ny):
             for j in range(c):

@@ -17,7 +17,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from workbench.data import Dataset, Experiment, bad_stamps
-from workbench.diagnose.kalman import Linearization, Pass, gains, response
+from workbench.diagnose.kalman import Linearization, Pass, gains
 from workbench.errors import InputError, check_known
 from workbench.noise import measurement_noise
 from workbench.physics import stepper
@@ -159,30 +159,6 @@ class Predictor:
     def at(self, point: Point) -> list[np.ndarray]:
         """Whitened errors (N, ny) of every record at one point."""
         return [self.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0] for i in range(len(self.records))]
-
-    @cached_property
-    def by_start(self) -> tuple[np.ndarray, ...]:
-        """What a unit of each start state does to the whitened errors, (N, ny, nx) of every record, to first order."""
-        found, nx = [], len(self.plant.states)
-        for i, (line, own) in enumerate(zip(self.lines, self.passes, strict=True)):
-            N, n, _ = line.F.shape
-            change = response(line, own.gain, np.zeros((N, n, nx)), start=self._start_moves(i, n))
-            found.append(own.whitening @ change)
-        return tuple(found)
-
-    def _start_moves(self, i: int, n: int) -> np.ndarray:
-        """What a unit of each start state does to all n that the filter carries, (n, nx): memories of sensors begin settled."""
-        plant, at, nx = self.plant, self.point, len(self.plant.states)
-        kept = [(row, int(j) - self._memories) for row, j in enumerate(self.carried) if self._memories <= j < self._width]
-        moves = np.eye(n, nx)
-        if kept:
-            eta, step = _smooth(plant, at.eta[i]), STEP * self.records[i].scale
-            x = at.start[i][:, None] + np.column_stack([np.zeros(nx), np.diag(step)])
-            z = np.array([np.broadcast_to(y, nx + 1) for y in plant.output(list(x), at.p, list(self.records[i].u[0]))])
-            settled = np.array([np.broadcast_to(m, nx + 1) for m in plant.settle(z, eta)])
-            for row, memory in kept:
-                moves[row] = (settled[memory, 1:] - settled[memory, 0]) / step
-        return moves
 
     def corrected(self, i: int, point: Point) -> np.ndarray:
         """Full states (N, n) of record i after each sample's correction: states, angles, effects' own states, sensor memories."""

@@ -9,10 +9,14 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from tests.strangers.two_mass import PLANT as PLAY
 from tests.workbench.diagnose.cases import AXIS, axis_predictor, axis_records, fitted, noise, refitted, with_effect
+from workbench.data import Dataset
 from workbench.diagnose.fit import Term, _inverse, gauss_newton, jacobian, term
 from workbench.diagnose.predictor import predictor
-from workbench.diagnose.recalibrate import unknowns
+from workbench.diagnose.recalibrate import recalibrated, unknowns
+from workbench.physics.controller import Playback
+from workbench.simulate import Scenario, simulate
 
 NONE = np.zeros(len(AXIS.slots))
 
@@ -154,14 +158,36 @@ def test_the_jacobian_is_the_slope_of_the_errors_also_at_a_bound():
             slope = ((ahead - e[i]) / step).ravel()
             np.testing.assert_allclose(J[i][:, c], slope, rtol=0.02, atol=0.02 * np.abs(slope).max() + 1e-9)
     # errors that are known already need no run, and what is taken over stays
+    fixed = own.split[0] + own.split[1]
     at, again = jacobian(base.predictor, own, z, sizes, (), e)
     held, kept = jacobian(base.predictor, own, z, sizes, [2.0 * j for j in J], e)
     for i in range(2):
         np.testing.assert_array_equal(at[i], e[i])
         np.testing.assert_array_equal(held[i], e[i])
         np.testing.assert_array_equal(again[i], J[i])
-        np.testing.assert_array_equal(kept[i][:, : own.split[0]], 2.0 * J[i][:, : own.split[0]])
-        np.testing.assert_array_equal(kept[i][:, own.split[0] :], J[i][:, own.split[0] :])
+        np.testing.assert_array_equal(kept[i][:, :fixed], 2.0 * J[i][:, :fixed])
+        np.testing.assert_array_equal(kept[i][:, fixed:], J[i][:, fixed:])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_jacobian_of_a_start_is_the_slope_of_the_errors_where_a_machine_with_play_begins_at_rest(seed):
+    """The filter's linearization along what it corrected has other slopes: a fit by it ends where nothing is stationary."""
+    random, records = np.random.default_rng(seed), []
+    for i in range(2):
+        voltage = np.repeat(random.uniform(-5.0, 5.0, 20), 30)
+        voltage[:200] = 0.0
+        run = simulate(PLAY, Playback(("V",), PLAY.dt), Scenario(f"run {i}", {"V": voltage}, seed=i), substeps=8)
+        records.append(run.experiment)
+    base = recalibrated(predictor(PLAY, Dataset(tuple(records))))
+    own, z = base.fit.unknowns, base.fit.z
+    _, J = jacobian(base.predictor, own, z, np.zeros(len(PLAY.slots)))
+    n, nx, _ = own.split
+    for i in range(2):
+        for c in range(n, n + nx):
+            move = 1e-3 * (np.arange(own.size) == own.columns(i)[c])
+            ahead, behind = (base.predictor.at(own.point(z + s * move))[i].ravel() for s in (1.0, -1.0))
+            slope = (ahead - behind) / 2e-3
+            assert np.linalg.norm(J[i][:, c] - slope) < 0.3 * np.linalg.norm(slope)  # to one side, across kinks
 
 
 def test_a_shape_belongs_to_one_effect_only():

@@ -184,21 +184,6 @@ def test_the_record_that_asks_for_most_integrator_steps_decides():
     assert predictor(light, Dataset((still, moved))).substeps == alone
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.05])
-def test_what_a_start_state_does_to_the_errors_is_what_a_small_move_of_it_does(lag):
-    """A slow sensor begins where it has settled, so it moves with the start."""
-    (slot,) = (i for i, s in enumerate(AXIS.slots) if s.key == "sensor-lag@q")
-    made = predictor(AXIS, axis_records(4, {"sensor-lag@q": {"time": lag}}, samples=150))
-    eta = made.point.eta.copy()
-    eta[:, slot] = lag
-    made = made.regained(replace(made.point, eta=eta))
-    p, start, step = made.point.p[None], made.point.start[0], 1e-4 * made.records[0].scale
-    for j in range(len(start)):
-        ends = [made.errors(0, p, eta[:1], (start + sign * step * (np.arange(len(start)) == j))[None])[0] for sign in (1.0, -1.0)]
-        moved = (ends[0] - ends[1]) / (2.0 * step[j])
-        np.testing.assert_allclose(made.by_start[0][:, :, j], moved, atol=2e-3 * np.abs(moved).max())
-
-
 def test_records_that_cannot_be_predicted_are_refused_with_their_place_and_the_mend():
     good = axis_records(1).experiments[0]
     no_force = replace(good, channels=(Channel("G", "N", "input"), good.channels[1]))
