@@ -34,7 +34,7 @@ class Outcome(Enum):
     TIE = "declared tie that holds it"
     BESIDE = "right, and a wrong name beside it"
     WRONG = "confident wrong name"
-    FLAGGED = "wrong name, said to be uncertain"
+    FLAGGED = "wrong name, said to be uncertain, or a wide tie"
     UNKNOWN = "something missing, no name"
     MISSED = "nothing said"
 
@@ -179,9 +179,9 @@ def strangers(row: Row) -> list[str]:
 
 
 def misled(row: Row) -> list[str]:
-    """Causes that stand for nothing that was hidden, and that are said to be sure."""
-    wrong = strangers(row)
-    return [c["key"] for c in row["causes"] if c["key"] in wrong and c["sure"]]
+    """Causes that are said to be sure, though neither they nor any effect that is declared a tie with them was hidden."""
+    keys = {t["key"] for t in row["truth"]}
+    return [c["key"] for c in beyond_rounding(row) if c["sure"] and not keys & {c["key"], *c["ties"]}]
 
 
 def outcome(row: Row) -> Outcome:
@@ -193,8 +193,7 @@ def outcome(row: Row) -> Outcome:
         if len(causes) > 1:
             return Outcome.BESIDE
         return Outcome.RIGHT if causes[0]["key"] == key else Outcome.TIE
-    unsure = not misled(row) or any(key in c["ties"] for c in causes)
-    return Outcome.FLAGGED if unsure else Outcome.WRONG
+    return Outcome.WRONG if misled(row) else Outcome.FLAGGED
 
 
 def must_be_found(row: Row) -> bool:

@@ -23,7 +23,7 @@ class Ending(Enum):
     CRASHED = "Crashed"
     REFUSED = "Refused"
     WRONG = "Named against the label, with confidence"
-    BESIDE = "Named against the label, and said not to be sure"
+    BESIDE = "Named against the label, and said not to be sure, or a wide tie"
     MISSED = "Said to lack nothing"
     OPEN = "Said to be unknown, though the catalogue holds a name"
     OUTSIDE = "Said to be unknown, and outside the catalogue"

@@ -45,7 +45,7 @@ class Summary:
     crashed: Share
     refused: Share
     wrong: Share  # of all answers: a name that was not hidden, said to be sure
-    unsure: Share  # of all answers: a name that was not hidden, said not to be sure
+    unsure: Share  # of all answers: a name that was not hidden, said not to be sure or a tie of more than three
     false_alarms: Share  # of answers where nothing is hidden: a cause is named
     right_or_tie: Share  # of single effects
     both: Share  # of pairs: both found, alone or in ties, and nothing wrong beside them

@@ -250,7 +250,7 @@ def _wrong(rows: Sequence[Row]) -> tuple[Block, ...]:
     answered = [row for row in rows if "verdict" in row]
     parts = (
         ("Confident wrong names", [row for row in answered if outcome(row) is Outcome.WRONG]),
-        ("Wrong names that are said not to be sure", [r for r in answered if len(strangers(r)) > len(misled(r))]),
+        ("Wrong names that are said not to be sure, and wide ties", [r for r in answered if len(strangers(r)) > len(misled(r))]),
         ("Worse than what was given, and not said", [row for row in answered if worse(row) and not row["says_worse"]]),
         ("Not judged on held-out records", [row for row in answered if "unjudged" in row]),
         ("Refused", [row for row in rows if "refused" in row]),

@@ -106,7 +106,7 @@ UNSURE = OTHER | {"sure": False}
         (ARM, row(causes=[RIGHT]), Ending.RIGHT),
         (ARM, row(causes=[RIGHT, cause("stribeck@arm")]), Ending.RIGHT),
         (ARM, row(causes=[cause("offset@u", "coulomb@arm")]), Ending.RIGHT),
-        (ARM, row(causes=[cause("offset@u", "coulomb@arm", "a@b", "c@d")]), Ending.WRONG),  # four names are no answer
+        (ARM, row(causes=[cause("offset@u", "coulomb@arm", "a@b", "c@d")]), Ending.BESIDE),  # four names are no answer
         (ARM, row(causes=[RIGHT, OTHER]), Ending.WRONG),
         (ARM, row(causes=[OTHER]), Ending.WRONG),
         (ARM, row(verdict="incomplete", causes=[RIGHT]), Ending.RIGHT),

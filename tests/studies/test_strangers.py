@@ -33,7 +33,7 @@ A, B, C = "coulomb@joint", "offset@V", "sensor-lag@a"
     [
         (row(truth=[A], causes=[cause(A)]), Outcome.RIGHT),
         (row(truth=[A], causes=[cause(B, A)]), Outcome.TIE),
-        (row(truth=[A], causes=[cause(B, A, C, "x@y")]), Outcome.WRONG),  # four effects are no answer
+        (row(truth=[A], causes=[cause(B, A, C, "x@y")]), Outcome.MISSED),  # four effects are no answer
         (row(truth=[A], causes=[cause(A), cause(B)]), Outcome.WRONG),
         (row(truth=[A], causes=[cause(B)]), Outcome.WRONG),
         (row(truth=[A], verdict="incomplete", causes=[cause(A)]), Outcome.INCOMPLETE),
