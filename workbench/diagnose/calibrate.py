@@ -14,7 +14,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.diagnose.answer import Gain
-from workbench.diagnose.fit import term
+from workbench.diagnose.fit import sharpened, term
 from workbench.diagnose.free_run import filtered
 from workbench.diagnose.gains import errors
 from workbench.diagnose.predictor import predictor
@@ -115,7 +115,12 @@ class Calibration:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return tuple(p.warning for p in self.parameters if p.warning)
+        """What is odd, in sentences."""
+        said = tuple(p.warning for p in self.parameters if p.warning)
+        kept = " and ".join(self.plant.effects)
+        return (
+            (*said, f"the size of {kept} is not fitted: the intervals hold for the size that the plant states") if kept else said
+        )
 
 
 def calibrate(
@@ -161,7 +166,9 @@ def calibrate(
     model = judge.better_ahead(Model(done.predictor, done.fit))
     freely = Calibrated(model.predictor, model.fit)
     if all(_beyond(f, bounds[f.name]) <= 0.0 for f in _fitted(opened, freely, held) if f.name in bounds and f.name not in held):
-        done, fitted = freely, _fitted(opened, freely, held)
+        done = freely
+    done = replace(done, fit=sharpened(done.predictor, done.fit))
+    fitted = _fitted(opened, done, held)
     objections = judge.objections("calibrated", as_given(plant, dataset), Model(done.predictor, done.fit))
     found = done.predictor
     starts = {

@@ -143,6 +143,7 @@ def diagnose(
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     finding, beyond = _with_rounding(found, [c.place for c in rounds]), _beyond(base, model)
     harm = {s.key: _harm(judge, s) for s in steps}
+    model = model.sharpened()
     if finding is Finding.NAMED and steps and (beyond or objections or any(harm.values())):
         finding = Finding.INCOMPLETE
     doubts = _doubts(steps, bool(beyond), bool(objections), harm) if finding is Finding.INCOMPLETE else {}

@@ -10,7 +10,7 @@ the prior of a uniform distribution of that half-width, sigma = t/sqrt(3). Where
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
@@ -23,6 +23,7 @@ FARTHEST = 30.0  # of the logarithm of a parameter from nominal: a step of a sin
 WIDEST = 3.0  # of the logarithm of a shape from where its fit began
 NEAR = 0.1  # standard deviations of the prior
 THETA_STEP, START_STEP, ANGLE_STEP, SHAPE_STEP = 1e-3, 1e-3, 1e-3, 1e-5
+SIZE_STEP = 1e-4  # of an effect's size
 
 
 @record
@@ -272,6 +273,37 @@ def jacobian(
         columns = ((there - here).reshape(len(moved), here.size) / np.array(signed)[:, None]).T
         J.append(np.concatenate([known[i][:, : n + nx], columns], axis=1) if known else columns)
     return tuple(errors), tuple(J)
+
+
+def sharpened(predictor: Predictor, fit: Fit) -> Fit:
+    """The fit with its Jacobian by central differences, for what is said of its unknowns: their covariance.
+
+    One-sided differences are off by a share of their steps, every column by a share of its own. A fit does not mind. But where
+    the records show a combination of unknowns only, what is left of large columns that should cancel reads as information about
+    each of them: intervals came out fourteen times too narrow. At the end of a range the difference stays one-sided.
+    """
+    unknowns, z, found = fit.unknowns, fit.z, []
+    moves = unknowns.steps(small_steps(unknowns, z))[:, None] * np.eye(unknowns.size)
+    low = unknowns.size - unknowns.split[2]
+    for i in range(unknowns.records):
+        own = unknowns.columns(i)
+        sides = [[z + side * moves[j] if j < low else unknowns.clip(z + side * moves[j]) for j in own] for side in (1.0, -1.0)]
+        points = [unknowns.point(x) for x in chain(*sides)]
+        e = predictor.errors(
+            i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
+        )
+        between = np.array([ahead[j] - behind[j] for j, ahead, behind in zip(own, *sides, strict=True)])
+        change = (e[: len(own)] - e[len(own) :]).reshape(len(own), -1)
+        found.append((change / between[:, None]).T)
+    return replace(fit, jacobian=tuple(found)) if all(np.isfinite(J).all() for J in found) else fit
+
+
+def small_steps(unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
+    """A small size (ne) of each fitted effect, for differences."""
+    sizes = np.zeros(len(unknowns.plant.slots))
+    for t, own in zip(unknowns.terms, unknowns.of_terms(z), strict=True):
+        sizes[list(t.sizes)] = SIZE_STEP * max(float(np.linalg.norm(own[: len(t.sizes)])), 1e-9)
+    return sizes
 
 
 def gauss_newton(

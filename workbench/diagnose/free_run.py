@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.diagnose.fit import gauss_newton
+from workbench.diagnose.fit import gauss_newton, small_steps
 from workbench.diagnose.predictor import RAN_AWAY, Noise, Predictor
 from workbench.diagnose.refit import Model
 from workbench.diagnose.tuning import tuned
@@ -21,7 +21,7 @@ FADED = 0.1  # autocorrelation from which on the rest is noise
 
 def simulated(model: Model) -> Model | None:
     """The model fitted by its free runs, from where it is; None where a run is lost: an unstable machine has none."""
-    unknowns, z, sizes = model.fit.unknowns, model.fit.z, _steps(model)
+    unknowns, z, sizes = model.fit.unknowns, model.fit.z, small_steps(model.fit.unknowns, model.fit.z)
     noise = Noise(model.predictor.noise.measurement, np.zeros(len(model.predictor.noise.process)), np.empty(0))
     predictor = replace(model.predictor, simulated=True).regained(model.fit.point, noise, rounds=2)
     best: Model | None = None
@@ -57,14 +57,6 @@ def filtered(model: Model) -> Model:
     predictor = replace(model.predictor, simulated=False).regained(model.fit.point, model.predictor.expected, rounds=2)
     predictor = predictor.with_noise(tuned(predictor))
     return Model(predictor, replace(model.fit, errors=tuple(predictor.at(model.fit.point))))
-
-
-def _steps(model: Model) -> np.ndarray:
-    """A small size (ne) of each fitted effect, for differences."""
-    sizes = np.zeros(len(model.predictor.plant.slots))
-    for t, own in zip(model.terms, model.fit.unknowns.of_terms(model.fit.z), strict=True):
-        sizes[list(t.sizes)] = 1e-4 * max(float(np.linalg.norm(own[: len(t.sizes)])), 1e-9)
-    return sizes
 
 
 def _raw(predictor: Predictor) -> list[np.ndarray]:

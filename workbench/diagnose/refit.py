@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from workbench.diagnose.fit import Fit, Term, Unknowns, _evaluate, gauss_newton
+from workbench.diagnose.fit import Fit, Term, Unknowns, _evaluate, gauss_newton, sharpened
 from workbench.diagnose.predictor import Noise, Predictor
 from workbench.diagnose.profile import dated
 from workbench.diagnose.screen import Score, Signature, dated_variants, signatures
@@ -42,6 +42,10 @@ class Model:
     @property
     def keys(self) -> tuple[str, ...]:
         return tuple(t.key for t in self.terms)
+
+    def sharpened(self) -> "Model":
+        """The same with a Jacobian from which intervals may be stated."""
+        return replace(self, fit=sharpened(self.predictor, self.fit))
 
     @property
     def numbers(self) -> int:

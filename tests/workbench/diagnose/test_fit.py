@@ -10,12 +10,14 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from tests.strangers.two_mass import PLANT as PLAY
-from tests.workbench.diagnose.cases import AXIS, axis_predictor, axis_records, fitted, noise, refitted, with_effect
-from workbench.data import Dataset
-from workbench.diagnose.fit import Term, _inverse, gauss_newton, jacobian, term
-from workbench.diagnose.predictor import predictor
+from tests.workbench.diagnose.cases import AXIS, axis_predictor, axis_records, fitted, noise, refitted, steps, with_effect
+from workbench import Slide
+from workbench.data import Channel, Dataset
+from workbench.diagnose.fit import Term, _inverse, gauss_newton, jacobian, sharpened, small_steps, term
+from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.physics.controller import Playback
+from workbench.physics.plant import Parameter, Plant
 from workbench.simulate import Scenario, simulate
 
 NONE = np.zeros(len(AXIS.slots))
@@ -188,6 +190,43 @@ def test_the_jacobian_of_a_start_is_the_slope_of_the_errors_where_a_machine_with
             ahead, behind = (base.predictor.at(own.point(z + s * move))[i].ravel() for s in (1.0, -1.0))
             slope = (ahead - behind) / 2e-3
             assert np.linalg.norm(J[i][:, c] - slope) < 0.3 * np.linalg.norm(slope)  # to one side, across kinks
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_only_counts_as_ratios_is_known_no_better_than_the_data_sheet_knows_their_common_scale(seed):
+    """m v' = K i - b v - friction: times any number it is the same machine, and free runs, however exact, cannot know it."""
+    random = np.random.default_rng(seed)
+    tolerances = random.uniform(0.02, 0.3, 3)
+    true = np.array([420.0, 95.0, 58.0]) * np.exp(random.uniform(-1.0, 1.0, 3) * tolerances)
+    plant = Plant(
+        "hoist",
+        (Channel("x", "m"), Channel("v", "m/s")),
+        (Channel("i", "A", "input"),),
+        (Channel("position", "m", "output"), Channel("speed", "m/s", "output")),
+        tuple(Parameter(name, value, "", t) for name, value, t in zip("mbK", (420.0, 95.0, 58.0), tolerances, strict=True)),
+        lambda x, u, p, at: {"x": x.v, "v": (p.K * u.i - p.b * x.v + at.car.torque()) / p.m},
+        lambda x, p: {"position": x.x, "speed": x.v},
+        0.01,
+        ports=(Slide("car", "v"),),
+        noise={"position": 1e-4, "speed": 1e-3},
+    )
+    run = simulate(
+        plant,
+        Playback(("i",), plant.dt),
+        Scenario("trip", {"i": steps(2500, 6.0, seed, hold=100)}, seed=seed),
+        parameters=dict(zip("mbK", true, strict=True)),
+        effects={"coulomb@car": {"level": 70.0, "width": 0.01}},
+    )
+    at = replace(predictor(plant, Dataset((run.experiment,))), simulated=True)
+    at = at.with_noise(Noise(np.array([1e-4, 1e-3]), np.zeros(1), np.empty(0)))
+    own = unknowns(at, [term(plant, "coulomb@car")])
+    level = own.places[0].start
+    z = np.zeros(own.size)
+    z[level] = 60.0
+    fit = sharpened(at, gauss_newton(at, own, z, small_steps(own, z), rounds=8))
+    sd = np.sqrt(np.diag(fit.covariance))
+    scale = np.sum(1.0 / own.sigma**2) ** -0.5  # of the logarithm
+    np.testing.assert_allclose([*(own.sigma * sd[:3]), sd[level] / fit.z[level]], scale, rtol=0.01)
 
 
 def test_a_shape_belongs_to_one_effect_only():
