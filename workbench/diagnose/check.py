@@ -19,7 +19,8 @@ ones where the plant is unstable, each with a start of its own, and what the inp
 
     D = y - z0,   F = z - z0,   z0: a run from the same start under the window's mean inputs.
 
-What is refused is wrong there too; else it is a note.
+What is refused is wrong there too, and a sign or a place is refused only where no actuator that is limited, has a dead zone or
+another gain explains the record nearly as well; else it is a note.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,8 +40,10 @@ PER_UNKNOWN = 10  # samples for each state and each parameter that is open
 MOVES = 2.0  # a channel whose spread around a line is less than so many standard deviations of its noise stands still
 STUCK = 0.5  # share of samples at one end of its range that makes a channel useless
 NEAR = 0.25  # a ratio of spreads is a unit's factor f if it is within f**NEAR of it
-BETTER = 0.5  # share of the distance that an input which is mended must take off
+BETTER = 0.5  # share of the distance that an input which is mended must take off, and of what an actuator leaves of it
 EATEN = (0.5, 0.7, 0.8, 0.9, 0.95)  # quantiles of an input that a dead zone may be as wide as
+LEFT = (0.1, 0.3)  # further quantiles that its limit may be at
+GAINS = (0.5, 0.7, 1.4, 2.0)  # that an actuator may have
 TOLD = 0.05  # difference of two distances below which neither is closer
 TENS = (0.001, 0.01, 0.1, 10.0, 100.0, 1000.0)  # factors of a size for which no unit is known
 APART = 6.0  # units closer to each other than this factor are not told by size
@@ -299,19 +302,16 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     _check_turns(plant, e)
     runner = Runner.of(plant, e)
     trials = list(_trials(plant, e))
-    own, *others = _whole(plant, e, runner, [t.u for t in trials])
-    if not len(own.y):  # unstable: within windows only is there something to compare
-        own, *others = (_forced(plant, e, runner, t.u) for t in trials)
-    elif len(own.y) < len(e):
+    (own, *others), whole = _runs(plant, e, runner, [t.u for t in trials])
+    if whole and len(own.y) < len(e):
         yield Note(e.name, "", f"a free run of {plant.name} leaves its range after {len(own.y) * e.dt:g} s")
     guesses = _guesses(plant, own, [Guess((t.slip,), run.away) for t, run in zip(trials[1:], others, strict=True) if t.slip])
     if any(slip.sure for guess in guesses for slip in guess.slips):
-        # what follows as it is has no inputs exchanged: missing physics may favour the other way round
-        doubted = [guess for guess in guesses if own.away <= FOLLOWED and any(slip.exchanged for slip in guess.slips)]
-        sure = [guess for guess in guesses if guess not in doubted and _holds_in_windows(plant, e, guess)]
+        doubts = [_doubt(plant, e, runner, own, guess) for guess in guesses]
+        sure = [guess for guess, doubt in zip(guesses, doubts, strict=True) if not doubt]
         if sure:
             raise _slipped(e.name, guesses if len(sure) == len(guesses) else sure)
-        yield _unsure(e.name, guesses, follows=bool(doubted))
+        yield _unsure(e.name, guesses, doubts[0])
     elif guesses:
         yield _odd(e.name, guesses)
     _check_limits(plant, e, own.channels)
@@ -322,6 +322,12 @@ def _compared(plant: Plant, e: Experiment) -> Iterator[Note]:
     _check_places(plant, e, own)
     slips = [t.slip for t in trials if t.slip and t.slip.sure and (t.slip.exchanged or t.slip.factor == -1.0)]
     yield from _unexplained(plant, e, own, runner, slips)
+
+
+def _runs(plant: Plant, e: Experiment, runner: Runner, inputs: Sequence[np.ndarray]) -> tuple[list[Compared], bool]:
+    """Free runs under each inputs (N, nu) over the whole record, and True; of an unstable plant what they do within windows."""
+    whole = _whole(plant, e, runner, inputs)
+    return (whole, True) if len(whole[0].y) else ([_forced(plant, e, runner, u) for u in inputs], False)
 
 
 def _whole(plant: Plant, e: Experiment, runner: Runner, inputs: Sequence[np.ndarray]) -> list[Compared]:
@@ -356,15 +362,24 @@ def _mended(e: Experiment, slips: Sequence[Slip]) -> Experiment:
     return replace(e, values=values)
 
 
-def _unsure(file: str, guesses: Sequence[Guess], follows: bool) -> Note:
-    """What a free run of the whole record says, where runs of its windows do not, or where the plant follows it as it is."""
+def _doubt(plant: Plant, e: Experiment, runner: Runner, own: Compared, guess: Guess) -> str:
+    """Why slips that explain the record better need not have been made, the end of a sentence; empty where they must."""
+    exchanged = any(slip.exchanged for slip in guess.slips)
+    if exchanged and own.away <= FOLLOWED:
+        return "it follows the record as it is, too: missing physics may favour the other way round"
+    if not _holds_in_windows(plant, e, guess):
+        return "only over the whole record: within short windows it does not; a start or a parameter may do this, too"
+    if exchanged or any(slip.factor < 0.0 for slip in guess.slips):  # the size of a unit is no actuator's
+        rivals, _ = _runs(plant, e, runner, [*_actuators(plant, e)])
+        if guess.away >= BETTER * min(run.away for run in rivals):
+            return "an actuator that saturates, has a dead zone or another gain explains it, too"
+    return ""
+
+
+def _unsure(file: str, guesses: Sequence[Guess], doubt: str) -> Note:
+    """What a free run of the whole record says, and why it need not be so."""
     said = _slipped(file, guesses)
-    doubt = (
-        "but it follows the record as it is, too: missing physics may favour the other way round"
-        if follows
-        else "but only over the whole record: within short windows it does not; a start or a parameter may do this, too"
-    )
-    return Note(file, said.channel or "", f"{said.problem}, {doubt}; or else {said.mend}")
+    return Note(file, said.channel or "", f"{said.problem}, but {doubt}; or else {said.mend}")
 
 
 def _guesses(plant: Plant, own: Compared, tried: Sequence[Guess]) -> tuple[Guess, ...]:
@@ -698,3 +713,16 @@ def _peaks(plant: Plant, e: Experiment) -> Iterator[Trial]:
         left = u.copy()
         left[:, own] -= np.clip(u[:, own], -width, width)
         yield Trial(None, left)
+
+
+def _actuators(plant: Plant, e: Experiment) -> Iterator[np.ndarray]:
+    """The inputs (N, nu) as they are, and what limits and dead zones of several widths, and other gains, leave of each."""
+    u = _inputs(plant, e)
+    yield u
+    for i in (plant.input_names.index(name) for name in _driving(plant, e)):
+        widths = np.quantile(np.abs(u[:, i]), (*LEFT, *EATEN))
+        limited = [np.clip(u[:, i], -width, width) for width in widths]
+        for own in (*limited, *(u[:, i] - part for part in limited), *(gain * u[:, i] for gain in GAINS)):
+            acting = u.copy()
+            acting[:, i] = own
+            yield acting

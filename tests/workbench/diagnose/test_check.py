@@ -8,11 +8,13 @@ import pytest
 from plants import PLANTS
 from studies.experiments import plan
 from tests.workbench.diagnose.cases import AXIS as SMALL_AXIS
-from tests.workbench.diagnose.cases import axis_records, robot_records
+from tests.workbench.diagnose.cases import axis_records, robot_records, steps
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnose.check import check, likeness, nearest
 from workbench.errors import InputError
-from workbench.simulate import simulate
+from workbench.physics.controller import Playback
+from workbench.physics.plant import Parameter, Plant
+from workbench.simulate import Scenario, simulate
 
 WINDING, ROBOT, AXIS = (PLANTS[name] for name in ("web-winding", "welding-robot", "positioning-axis"))
 
@@ -99,6 +101,41 @@ def test_no_strong_effect_of_the_winding_machine_is_refused(effect, size):
     notes = check(WINDING, Dataset((drawn(WINDING, "staircase", effects={effect: size}),)))
     assert any("missing physics as large" in note.sentence for note in notes)
     assert (effect == "coulomb@unwind") == any("V1: looks cut off" in str(note) for note in notes)
+
+
+@pytest.mark.parametrize("first", range(0, 120, 40))
+def test_a_pump_of_another_gain_is_not_taken_for_the_other_one(first):
+    """Two pumps that move together, as under feedback, one of them at half or twice its gain, and one level that is measured."""
+    for seed in range(first, first + 40):
+        random = np.random.default_rng(seed)
+        share, rates = random.uniform(0.2, 0.8, 2), np.exp(random.uniform(-1.0, 1.0, 4))
+        plant = Plant(
+            "two tanks",
+            (Channel("h1", "cm"), Channel("h2", "cm")),
+            (Channel("v1", "V", "input"), Channel("v2", "V", "input")),
+            (Channel("level", "cm", "output"),),
+            tuple(Parameter(f"c{k}", value, "", 0.3) for k, value in enumerate((*rates, *share))),
+            lambda x, u, p, at: {
+                "h1": p.c2 * p.c4 * u.v1 + p.c3 * (1.0 - p.c5) * u.v2 - p.c0 * x.h1,
+                "h2": p.c3 * p.c5 * u.v2 + p.c2 * (1.0 - p.c4) * u.v1 - p.c1 * x.h2,
+            },
+            lambda x, p: {"level": x.h1},
+            0.1,
+            noise={"level": 0.01},
+        )
+        hold = int(random.integers(10, 100))
+        common = steps(600, 1.0, 3 * seed, hold)
+        pumps = {
+            name: random.uniform(2.0, 5.0) + random.choice([-1.0, 1.0]) * random.uniform(0.5, 1.0) * common
+            + steps(600, 0.1, 3 * seed + k, hold)
+            for k, name in enumerate(("v1", "v2"), 1)
+        }  # fmt: skip
+        other = random.choice(["v1", "v2"])
+        acting = pumps | {other: random.choice([0.5, 2.0]) * pumps[other]}
+        e = simulate(plant, Playback(("v1", "v2"), 0.1), Scenario("run", acting, seed=seed)).experiment
+        values = e.values.copy()
+        values[:, [e.names.index(name) for name in pumps]] = np.column_stack([*pumps.values()])
+        check(plant, Dataset((replace(e, values=values),)))  # refuses none
 
 
 def test_a_dead_zone_that_takes_all_or_nearly_all_is_noted():
