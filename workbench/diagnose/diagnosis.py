@@ -46,6 +46,7 @@ LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
 TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws of friction are idealised
 KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
+TOLD = 0.9  # standard deviation of a number, in sizes of its effect or of what was believed, from which on records do not tell it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
@@ -222,6 +223,7 @@ class _Found:
     left: tuple[Left, ...]
     tested: tuple[Signature, ...]
     lesser: "_Lesser"
+    most: float  # see `_searched`
     local: Local | None = None
     refused: tuple[Refused, ...] = ()
     unresolved: Unresolved | None = None
@@ -287,10 +289,10 @@ def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Fou
     lesser = search.lesser
     if len(steps) > 1:
         progress("dropping and swapping")
-        steps = _pruned(base, _swapped(steps, lesser, most), lesser)
+        steps = _kept(base, steps, lesser, most)
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
-    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), lesser, search.local, unresolved=search.unresolved)
+    return _Found(base, tuple(steps), tuple(left), tuple(search.tested), lesser, most, search.local, unresolved=search.unresolved)
 
 
 class _Search:
@@ -604,7 +606,7 @@ def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
 def _dropped(found: _Found, step: Step, why: str) -> _Found:
     """Without a step that is no cause; the others are fitted again."""
     rest = [replace(s, after=step.before) for s in found.steps if s is not step]
-    steps = _pruned(found.base, rest, found.lesser) if rest else []
+    steps = _kept(found.base, rest, found.lesser, found.most) if rest else []
     left = remainder(steps[-1].after if steps else found.base)
     return replace(found, steps=tuple(steps), left=tuple(left), refused=(*found.refused, Refused(step.key, why)))
 
@@ -629,6 +631,17 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
     if harmed := harms(found):
         return f"would explain a little more, but makes an error worse ({harmed[0]})"
     return ""
+
+
+def _kept(base: Model, steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
+    """Steps that none of their rivals replaces and none of the others makes superfluous; what ties beside all is not what ties
+    beside fewer.
+    """
+    while True:
+        kept = _pruned(base, _swapped(steps, lesser, most), lesser)
+        if len(kept) == len(steps):
+            return kept
+        steps = kept
 
 
 def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
@@ -665,10 +678,23 @@ def _closest(before: Model, named: Model, key: str, tying: Sequence[tuple[Model,
 
 
 def _gap(named: Model, key: str, other: Model, other_key: str) -> float:
-    """BIC by which a rival is worse; one that includes the named cause cannot be worse than by its further numbers."""
-    gap, more = other.bic - named.bic, other.numbers - named.numbers
+    """BIC by which a rival is worse; one that includes the named cause cannot be worse than by its further numbers.
+
+    Only numbers that the records tell are counted: that nothing ran backwards is no evidence against a friction of its own there.
+    """
     samples = sum(len(r) for r in named.predictor.records)
-    return min(gap, more * float(np.log(samples))) if _included(named.predictor.plant, key, other_key) else gap
+    more = (_told(other, other_key) - _told(named, key)) * float(np.log(samples))
+    gap = other.deviance - named.deviance + more
+    return min(gap, max(more, 0.0)) if _included(named.predictor.plant, key, other_key) else gap
+
+
+def _told(model: Model, key: str) -> int:
+    """How many numbers of an effect the records tell from none, or from what was believed before."""
+    unknowns = model.fit.unknowns
+    t, own = next((t, place) for t, place in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
+    deviation, sizes = np.sqrt(np.diag(model.fit.covariance)[own]), model.fit.z[own][: len(t.sizes)]
+    scale = np.where(np.arange(len(deviation)) < len(sizes), float(np.abs(sizes).max()), 1.0)
+    return int(np.sum(deviation < TOLD * scale))
 
 
 def _included(plant: Plant, key: str, other_key: str) -> bool:
