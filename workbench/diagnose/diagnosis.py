@@ -287,7 +287,7 @@ def _searched(base: Model, most: float, progress: Callable[[str], None]) -> _Fou
     search = _Search([slot.key for slot in plant.slots], np.zeros(len(plant.slots)), most, progress)
     base, steps = search.path(base)
     lesser = search.lesser
-    if len(steps) > 1:
+    if len(steps) > 1 or search.stuck:
         progress("dropping and swapping")
         steps = _kept(base, steps, lesser, most)
     progress("what is left")
@@ -304,6 +304,7 @@ class _Search:
         self.tested: list[Signature] = []
         self.local: Local | None = None
         self.unresolved: Unresolved | None = None
+        self.stuck = False  # whether a cause was chosen by a fit that was stuck
 
     def path(self, base: Model) -> tuple[Model, list[Step]]:
         """One effect after the other, as long as something is found; and the base.
@@ -329,7 +330,7 @@ class _Search:
             stuck = less.bic < model.bic - WORTH
             before = less if stuck else model
             if stuck and steps:
-                steps[-1] = replace(steps[-1], after=before)
+                steps[-1], self.stuck = replace(steps[-1], after=before), True
             elif stuck:
                 base = before
             gain = before.bic - step.after.bic

@@ -292,6 +292,28 @@ def test_what_ties_with_a_cause_is_looked_at_again_where_what_stood_beside_it_wa
     assert looked == [[1, 2, 3], [1, 2], [1]]
 
 
+@pytest.mark.parametrize(("freed", "again"), [(300.0, True), (1000.0, False)])
+def test_a_cause_chosen_by_a_fit_that_was_stuck_is_compared_with_its_rivals_again(monkeypatch, freed, again):
+    """freed: BIC of the model with the first cause alone, once a second one has led it out of where it was."""
+
+    def model(bic, *keys):
+        return SimpleNamespace(predictor=SimpleNamespace(plant=AXIS), bic=bic, deviance=bic, keys=keys)
+
+    less, led = {"first": model(2000.0), "second": model(freed, "first")}, model(297.0 if again else 999.0, "first", "second")
+    steps = {(): diagnosis.Step("first", None, model(500.0, "first"), None, {}, 0.0, 1.0)}
+    steps[("first",)] = replace(steps[()], key="second", after=led)
+    monkeypatch.setattr(diagnosis._Search, "screened", lambda self, m: [Score("any", None, (), 9.0, 0.0, 0.0)])
+    monkeypatch.setattr(diagnosis, "_step", lambda m, *_: steps.pop(m.keys, None))
+    monkeypatch.setattr(diagnosis, "_unresolved", lambda *_: None)
+    monkeypatch.setattr(diagnosis._Lesser, "of", lambda self, m, key: less[key])
+    monkeypatch.setattr(diagnosis, "remainder", lambda m: [])
+    compared = []
+    monkeypatch.setattr(diagnosis, "_kept", lambda base, found, *_: compared.append(found[-1].after.bic) or found)
+    found = diagnosis._searched(model(2000.0), np.inf, lambda _: None)
+    assert [s.key for s in found.steps] == ["first"]
+    assert compared == ([freed] if again else [])
+
+
 def test_a_model_freed_of_an_effect_is_no_worse_than_one_without_it_that_was_met_before():
     """Freed of the effect it may be lost, and whatever it is compared with would look like a gain."""
     model = fitted(robot_records(3, {"coulomb@rail": {"level": 0.3}}))
