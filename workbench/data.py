@@ -411,7 +411,7 @@ def _decimated(experiment: Experiment, q: int) -> Experiment:
     blocks = len(experiment) // q
     if blocks < 2:
         raise InputError(
-            f"{len(experiment)} samples are too few to keep every {q}th",
+            f"{len(experiment)} samples are too few to keep one in {q}",
             file=experiment.name,
             mend=f"use a sample time of at most {len(experiment) // 2 * experiment.dt:g} s",
         )

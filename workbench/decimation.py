@@ -37,7 +37,7 @@ def thinned(dataset: Dataset, dt: float | None = None, plant: Plant | None = Non
     done = Dataset(tuple(e.resample(wanted * e.dt / dataset.dt) for e in dataset))
     why = "as asked" if dt is not None else f"{plant.name} is sampled every {plant.dt:g} s" if plant else "nothing moves faster"
     return done, (
-        f"sampled every {dataset.dt:g} s, used every {wanted:g} s ({why}): every {q}th sample behind an anti-aliasing filter,"
+        f"sampled every {dataset.dt:g} s, used every {wanted:g} s ({why}): one sample in {q} behind an anti-aliasing filter,"
         f" commands as their mean; --dt {dataset.dt:g} keeps all"
     )
 

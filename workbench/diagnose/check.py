@@ -23,7 +23,7 @@ What is refused is wrong there too, and a sign or a place is refused only where 
 another gain explains the record nearly as well; else it is a note.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -106,13 +106,27 @@ def _check_channels(plant: Plant, e: Experiment) -> None:
     missing = [name for name in plant.needed if name not in e.names]
     seen = [name for name in plant.output_names if name in e.names]
     if missing or not seen:
+        slips = _with_unit(e, (*plant.needed, *plant.output_names))
         wanted = f"inputs {', '.join(plant.needed)} and some of {', '.join(plant.output_names)}"
         raise InputError(
             f"has {', '.join(e.names)}; {plant.name} needs the {wanted}",
             file=e.name,
             channel=", ".join(missing),
-            mend="is it a record of this machine? name its channels as the plant does",
+            mend=f"write {', '.join(slips)} in the header"
+            if slips
+            else "is it a record of this machine? name its channels as the plant does",
         )
+
+
+def _with_unit(e: Experiment, names: Iterable[str]) -> list[str]:
+    """What to write instead of channels that are called as `names` are, with a unit behind: current_A for current [A]."""
+    found = []
+    for name in names:
+        for c in e.channels:
+            own, _, unit = c.name.rpartition("_")
+            if name not in e.names and own.lower() == name.lower() and unit in UNITS:
+                found.append(f"{name} [{unit}] for {c.name}")
+    return found
 
 
 def _unlogged(plant: Plant, e: Experiment) -> Iterator[Note]:

@@ -279,6 +279,13 @@ def test_a_record_of_another_machine_is_refused_by_its_channels():
     assert reason.channel == "V1, V2"
 
 
+def test_a_unit_that_is_part_of_a_name_is_told_apart(winding):
+    """Loggers write current_A; only the header differs from what the plant needs."""
+    names = {"V1": "V1_V", "V2": "v2_V"}
+    e = replace(winding, channels=tuple(replace(c, name=names.get(c.name, c.name), unit="") for c in winding.channels))
+    assert refused(WINDING, e).mend == "write V1 [V] for V1_V, V2 [V] for v2_V in the header"
+
+
 def test_a_larger_machine_of_the_same_channels_is_refused_by_its_range(winding):
     assert "stays within [0.01, 0.03] m" in refused(WINDING, scaled(winding, "r2", 9.0)).problem
     alike = winding["r2"] + 0.05  # another radius that grows as fast
