@@ -50,6 +50,7 @@ TOLD = 0.9  # standard deviation of a number, in sizes of its effect or of what 
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
+ALONE = 0.2  # share of what causes explain together, below which they are not sure where each of them left out leaves no more
 LAWS = 0.05  # share of what causes gain up to which what is left may be the ideal form of their laws
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
@@ -133,6 +134,7 @@ def diagnose(
             )
     following = _next(found.steps, templates)
     progress("free runs")
+    only_together = _only_together(found.base, found.steps)
     found = _by_free_runs(found, judge)
     progress("gains on held-out records")
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
@@ -145,9 +147,10 @@ def diagnose(
     finding, beyond = _with_rounding(found, [c.place for c in rounds]), _beyond(base, model)
     harm = {s.key: _harm(judge, s) for s in steps}
     model = model.sharpened()
-    if finding is Finding.NAMED and steps and (beyond or objections or any(harm.values())):
+    only_together = only_together and len(steps) > 1
+    if finding is Finding.NAMED and steps and (beyond or objections or only_together or any(harm.values())):
         finding = Finding.INCOMPLETE
-    doubts = _doubts(steps, bool(beyond), bool(objections), harm) if finding is Finding.INCOMPLETE else {}
+    doubts = _doubts(steps, bool(beyond), bool(objections), harm, only_together) if finding is Finding.INCOMPLETE else {}
     causes = tuple(replace(_cause(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts.get(s.key, "")) for s in steps)
     return Diagnosis(
         plant=plant.name,
@@ -816,8 +819,20 @@ def _harm(judge: Judge, step: Step) -> str:
     return str(min(found, key=lambda c: c.share)) if found else ""
 
 
-def _doubts(steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str]) -> dict[str, str]:
+def _only_together(base: Model, steps: Sequence[Step]) -> bool:
+    """Whether causes explain next to nothing where one of them is left out: two wrong ones can make up for what has no name."""
+    if len(steps) < 2:
+        return False
+    whole = base.bic - steps[-1].after.bic
+    return all(whole - s.gain < ALONE * whole for s in steps)
+
+
+def _doubts(
+    steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str], only_together: bool = False
+) -> dict[str, str]:
     """What speaks against each cause of an incomplete answer; what was found beside one that is not sure is not sure either."""
+    if only_together:
+        return {s.key: "only together do these causes explain more than next to nothing: something else may" for s in steps}
     doubts, unsure = {}, ""
     for s in sorted(steps, key=lambda s: -s.gain):
         own = _doubt(s, beyond, worse_than_given, harm[s.key])

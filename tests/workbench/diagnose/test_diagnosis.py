@@ -240,6 +240,17 @@ def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
     assert doubts["a@x"] == "it was found beside b@x, which is not sure"
 
 
+@pytest.mark.parametrize(("gains", "only"), [((180.0, 190.0), True), ((180.0, 120.0), False), ((190.0,), False)])
+def test_causes_that_explain_next_to_nothing_one_by_one_are_not_sure(gains, only):
+    """Of 200 that two explain, what is left without either says what the other explains alone."""
+    steps = [
+        SimpleNamespace(key=f"{i}@x", gain=gain, stable=0.5, after=SimpleNamespace(bic=800.0)) for i, gain in enumerate(gains)
+    ]
+    assert diagnosis._only_together(SimpleNamespace(bic=1000.0), steps) is only
+    doubts = diagnosis._doubts(steps, False, False, {s.key: "" for s in steps}, only)
+    assert all(bool(doubt) is only for doubt in doubts.values())
+
+
 @pytest.mark.parametrize(
     ("after", "sure", "harms"), [(1.09, True, False), (1.12, True, True), (1.5, False, False), (0.5, True, False)]
 )
