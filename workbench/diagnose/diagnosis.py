@@ -803,7 +803,7 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
     return Cause(
         effect=effect,
         place=place,
-        sentence=slot.effect.sentence.format(place=place),
+        sentence=_sentence(plant, slot),
         parameters=_spanning(_sizes(model, step.key), step.others),
         gains=gains,
         evidence=Evidence(step.gain, step.score.p_family, 1.0 / total),
@@ -811,6 +811,13 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
         stability=step.stable,
         separates=slot.effect.separates,
     )
+
+
+def _sentence(plant: Plant, slot: Slot) -> str:
+    """What a cause is; a static error of a sensor is not told from one of the equation that its output is computed by."""
+    said = slot.effect.sentence.format(place=slot.place)
+    either = slot.effect.family == "sensor" and not slot.effect.memories and slot.place in plant.computed
+    return f"{said} Or the plant's own equation of {slot.place} is off: records do not tell the two apart." if either else said
 
 
 def _harm(judge: Judge, step: Step) -> str:

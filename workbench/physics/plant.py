@@ -493,6 +493,14 @@ class Plant:
         opened = _Opened(self.symbols)
         return Parted(column(self._traced_rates(opened)), tuple(opened.parts))
 
+    @cached_property
+    def computed(self) -> frozenset[str]:
+        """Outputs that the equation makes of several states, of parameters or by a curve: more than one state in some unit."""
+        x, y = self.symbols["x"], column(self._traced_output())
+        J = ca.jacobian(y, x)
+        read = [J[j, :].nnz() == 1 and J[j, :].is_constant() and len(ca.symvar(y[j])) == 1 for j in range(len(self.outputs))]
+        return frozenset(name for name, plain in zip(self.output_names, read, strict=True) if not plain)
+
     def _traced_rates(self, opened: "_Opened | None") -> list:
         s = {name: entries(symbol) for name, symbol in self.symbols.items()}
         try:

@@ -10,7 +10,7 @@ from plants import WEB_WINDING
 from studies.experiments import EXPERIMENTS
 from studies.jobs.recorded import Recorded
 from tests.workbench.diagnose.cases import AXIS, ROBOT, axis_records, fitted, refitted, robot_records
-from workbench.data import Dataset
+from workbench.data import Channel, Dataset
 from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import diagnose
@@ -361,6 +361,25 @@ def test_what_cannot_be_told_apart_is_said_to_tie():
     assert {cause.key, *cause.ties} >= {"rail-tilt@rail", "offset@u"}
     assert cause.evidence.posterior < 0.7
     assert cause.evidence.posterior + sum(cause.ties.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("measured", "computed"),
+    [
+        (lambda x, p: x.v, False),
+        (lambda x, p: 30.0 / np.pi * x.v - 2.0, False),  # in another unit
+        (lambda x, p: p.M * x.v, True),
+        (lambda x, p: x.v + x.q, True),
+        (lambda x, p: x.v**2, True),
+    ],
+)
+def test_a_static_error_of_a_sensor_is_said_to_be_that_of_its_equation_where_the_output_is_computed(measured, computed):
+    plant = replace(AXIS, outputs=(Channel("y", "", "output"),), measure=lambda x, p: {"y": measured(x, p)}, noise={})
+    assert plant.computed == ({"y"} if computed else set())
+    said = {slot.effect.id: diagnosis._sentence(plant, slot) for slot in plant.slots if slot.place == "y"}
+    for effect in ("sensor-gain", "sensor-bias", "sensor-nonlinearity"):
+        assert ("equation of y" in said[effect]) is computed
+    assert "equation" not in said["sensor-lag"] + said["backlash"]
 
 
 def test_of_two_effects_both_have_their_size():
