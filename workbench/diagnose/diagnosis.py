@@ -4,7 +4,7 @@ recalibrate -> screen -> refit -> confirm -> extend, again while something is fo
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -609,7 +609,7 @@ def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
 
 def _dropped(found: _Found, step: Step, why: str) -> _Found:
     """Without a step that is no cause; the others are fitted again."""
-    rest = [replace(s, after=step.before) for s in found.steps if s is not step]
+    rest = _facing([replace(s, after=step.before) for s in found.steps if s is not step], [step.key])
     steps = _kept(found.base, rest, found.lesser, found.most) if rest else []
     left = remainder(steps[-1].after if steps else found.base)
     return replace(found, steps=tuple(steps), left=tuple(left), refused=(*found.refused, Refused(step.key, why)))
@@ -642,10 +642,16 @@ def _kept(base: Model, steps: list[Step], lesser: _Lesser, most: float) -> list[
     beside fewer.
     """
     while True:
-        kept = _pruned(base, _swapped(steps, lesser, most), lesser)
+        steps = _swapped(steps, lesser, most)
+        kept = _pruned(base, steps, lesser)
         if len(kept) == len(steps):
             return kept
-        steps = kept
+        steps = _facing(kept, {s.key for s in steps} - {s.key for s in kept})
+
+
+def _facing(steps: Sequence[Step], dropped: Iterable[str]) -> list[Step]:
+    """Steps that are to be compared, first of all, with what no longer stands beside them."""
+    return [replace(s, rivals=s.rivals | dict.fromkeys(dropped, 0.0)) for s in steps]
 
 
 def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
@@ -667,7 +673,8 @@ def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
         finals.append((model, step.score))
         model, score = min(better, key=lambda pair: pair[0].bic, default=(model, step.score))
         tying = _rivals(less, model, score.key, finals)
-        gaps = {s.key: _gap(model, score.key, m, s.key) for m, s in tying}
+        # what does not tie beside these may tie beside fewer
+        gaps = dict.fromkeys(step.rivals, np.inf) | {s.key: _gap(model, score.key, m, s.key) for m, s in tying}
         closest = _closest(less, model, score.key, tying)
         steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=closest, others=times[score.key])
     steps[-1] = replace(steps[-1], after=model)

@@ -296,11 +296,15 @@ def test_what_shows_clearly_but_has_no_size_stands_beside_what_is_named(statisti
 
 
 def test_what_ties_with_a_cause_is_looked_at_again_where_what_stood_beside_it_was_dropped(monkeypatch):
+    """And what was dropped is the first that the others are compared with."""
     looked = []
-    monkeypatch.setattr(diagnosis, "_swapped", lambda steps, *_: looked.append(list(steps)) or steps)
-    monkeypatch.setattr(diagnosis, "_pruned", lambda base, steps, _: steps[: max(len(steps) - 1, 1)])
-    assert diagnosis._kept(None, [1, 2, 3], None, np.inf) == [1]
-    assert looked == [[1, 2, 3], [1, 2], [1]]
+    steps = [diagnosis.Step(key, None, None, None, {"d": np.inf}, 0.0, 1.0) for key in "abc"]
+    monkeypatch.setattr(diagnosis, "_swapped", lambda found, *_: looked.append({s.key: s.rivals for s in found}) or found)
+    monkeypatch.setattr(diagnosis, "_pruned", lambda base, found, _: found[: max(len(found) - 1, 1)])
+    (kept,) = diagnosis._kept(None, steps, None, np.inf)
+    assert kept.key == "a"
+    assert [list(found) for found in looked] == [["a", "b", "c"], ["a", "b"], ["a"]]
+    assert looked[-1]["a"] == {"d": np.inf, "c": 0.0, "b": 0.0}
 
 
 @pytest.mark.parametrize(("freed", "again"), [(300.0, True), (1000.0, False)])
