@@ -126,8 +126,9 @@ def diagnose(
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or _forgiven(judge, found)):
         progress("again, without torques that come and go")
-        again = _judged(_searched(_recalibrated(plant, dataset, False, threads), 1.0 - HELPFUL, progress), judge, longer=True)
-        if again.steps and not _tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
+        bare = _recalibrated(plant, dataset, False, threads)
+        again = _judged(_searched(bare, 1.0 - HELPFUL, progress), judge, longer=True) if bare.sound else None
+        if again and again.steps and not _tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
             found = replace(again, local=again.local or found.local)
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
@@ -659,9 +660,9 @@ def _swapped(steps: list[Step], lesser: _Lesser, most: float) -> list[Step]:
     steps, model, sizes = list(steps), steps[-1].after, lesser.sizes
     for j, step in enumerate(steps):
         rivals = [key for key in sorted(step.rivals, key=lambda key: step.rivals[key]) if key not in model.keys][:RIVALS]
-        if not rivals:
+        if not rivals or not (less := lesser.of(model, step.key)).sound:
             continue
-        less, others = lesser.of(model, step.key), steps[:j] + steps[j + 1 :]
+        others = steps[:j] + steps[j + 1 :]
         found = _screened(less, rivals, sizes)
         trials = refits(less, found, sizes) if found else []
         # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike

@@ -69,9 +69,12 @@ class Model:
 
     @cached_property
     def deviance(self) -> float:
-        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost; inf where a run was lost."""
+        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost; inf where a run was lost.
+
+        So it is where a run next to it was: what has no slopes cannot be gone on from.
+        """
         value = self.fit.squares + self.beyond + sum(p.log_det for p in self.predictor.passes)
-        return value if np.isfinite(value) else np.inf
+        return value if np.isfinite(value) and np.isfinite(self.fit.information).all() else np.inf
 
     @property
     def _theta(self) -> np.ndarray:
@@ -83,6 +86,11 @@ class Model:
         return self.deviance - self.beyond + float(self._theta @ self._theta)
 
     @property
+    def sound(self) -> bool:
+        """Whether its runs along the records last, and tell something."""
+        return bool(np.isfinite(self.deviance) and np.isfinite(self.fit.z).all())
+
+    @property
     def bic(self) -> float:
         samples = sum(len(r) for r in self.predictor.records)
         return self.deviance + self.numbers * float(np.log(samples))
@@ -90,8 +98,7 @@ class Model:
 
 def lasting(model: Model, plant: str) -> Model:
     """The model as it is. Raises InputError, which names the plant, where its runs along the records are lost or tell nothing."""
-    fit = model.fit
-    if np.isfinite(model.deviance) and np.isfinite(fit.z).all() and np.isfinite(fit.information).all():
+    if model.sound:
         return model
     raise InputError(
         "the simulation leaves every range along these records, however it is corrected",
