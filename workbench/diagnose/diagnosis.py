@@ -331,7 +331,7 @@ class _Search:
                 self.unresolved = _unresolved(found, model)
                 break
             less = self.lesser.of(step.after, step.key)
-            stuck = less.bic < model.bic - WORTH
+            stuck = less.bic < model.bic - WORTH and less.sound
             before = less if stuck else model
             if stuck and steps:
                 steps[-1], self.stuck = replace(steps[-1], after=before), True
@@ -484,8 +484,9 @@ def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: 
     """Whether an effect would be a cause beside those of `steps`: worth its numbers, of practical size, and its own."""
     gain = before.bic - after.bic
     return (
+        after.sound
         # also where the parameters' moves within their tolerance are paid for: what needs them to move is no cause
-        min(gain, gain + before.within - after.within) >= WORTH
+        and min(gain, gain + before.within - after.within) >= WORTH
         and _practical(before, after)
         and _of_its_own(before.predictor.plant, key, gain, steps)
         and not _is_rounding(after, key)

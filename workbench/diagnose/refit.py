@@ -69,12 +69,9 @@ class Model:
 
     @cached_property
     def deviance(self) -> float:
-        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost; inf where a run was lost.
-
-        So it is where a run next to it was: what has no slopes cannot be gone on from.
-        """
+        """-2 log likelihood, up to a constant, and what parameters beyond their tolerance cost; inf where a run was lost."""
         value = self.fit.squares + self.beyond + sum(p.log_det for p in self.predictor.passes)
-        return value if np.isfinite(value) and np.isfinite(self.fit.information).all() else np.inf
+        return value if np.isfinite(value) else np.inf
 
     @property
     def _theta(self) -> np.ndarray:
@@ -87,8 +84,8 @@ class Model:
 
     @property
     def sound(self) -> bool:
-        """Whether its runs along the records last, and tell something."""
-        return bool(np.isfinite(self.deviance) and np.isfinite(self.fit.z).all())
+        """Whether its runs along the records last, and tell something: what has no slopes cannot be gone on from."""
+        return bool(np.isfinite(self.deviance) and np.isfinite(self.fit.z).all() and np.isfinite(self.fit.information).all())
 
     @property
     def bic(self) -> float:

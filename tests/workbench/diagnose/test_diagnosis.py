@@ -312,7 +312,7 @@ def test_a_cause_chosen_by_a_fit_that_was_stuck_is_compared_with_its_rivals_agai
     """freed: BIC of the model with the first cause alone, once a second one has led it out of where it was."""
 
     def model(bic, *keys):
-        return SimpleNamespace(predictor=SimpleNamespace(plant=AXIS), bic=bic, deviance=bic, keys=keys)
+        return SimpleNamespace(predictor=SimpleNamespace(plant=AXIS), bic=bic, deviance=bic, keys=keys, sound=True)
 
     less, led = {"first": model(2000.0), "second": model(freed, "first")}, model(297.0 if again else 999.0, "first", "second")
     steps = {(): diagnosis.Step("first", None, model(500.0, "first"), None, {}, 0.0, 1.0)}
