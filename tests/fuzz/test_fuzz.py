@@ -56,6 +56,16 @@ def test_an_infinite_place_in_a_model_is_a_refusal(every, tmp_path):
         every["model"].read(path)
 
 
+def test_a_weight_whose_square_is_beyond_all_floats_is_a_refusal(every, tmp_path):
+    """Infinity times the zeros beside a diagonal is no number, and said so in a warning of numpy's."""
+    content = json.loads(every["mpc"].seed)
+    content["weights"]["moves"][1] = 1e200
+    path = tmp_path / "mpc.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError):
+        every["mpc"].read(path)
+
+
 def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
     killer = tmp_path / "killer.py"
     killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")

@@ -116,11 +116,9 @@ class Calibration:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is odd, in sentences."""
-        said = tuple(p.warning for p in self.parameters if p.warning)
         kept = " and ".join(self.plant.effects)
-        return (
-            (*said, f"the size of {kept} is not fitted: the intervals hold for the size that the plant states") if kept else said
-        )
+        said = f"the size of {kept} is not fitted: the intervals hold for the size that the plant states" if kept else ""
+        return tuple(sentence for sentence in (*(p.warning for p in self.parameters), said) if sentence)
 
 
 def calibrate(

@@ -106,15 +106,14 @@ def _check_channels(plant: Plant, e: Experiment) -> None:
     missing = [name for name in plant.needed if name not in e.names]
     seen = [name for name in plant.output_names if name in e.names]
     if missing or not seen:
-        slips = _with_unit(e, (*plant.needed, *plant.output_names))
+        renamed = ", ".join(_with_unit(e, (*plant.needed, *plant.output_names)))
+        asked = "is it a record of this machine? name its channels as the plant does"
         wanted = f"inputs {', '.join(plant.needed)} and some of {', '.join(plant.output_names)}"
         raise InputError(
             f"has {', '.join(e.names)}; {plant.name} needs the {wanted}",
             file=e.name,
             channel=", ".join(missing),
-            mend=f"write {', '.join(slips)} in the header"
-            if slips
-            else "is it a record of this machine? name its channels as the plant does",
+            mend=f"write {renamed} in the header" if renamed else asked,
         )
 
 
@@ -377,7 +376,7 @@ def _mended(e: Experiment, slips: Sequence[Slip]) -> Experiment:
 
 
 def _doubt(plant: Plant, e: Experiment, runner: Runner, own: Compared, guess: Guess) -> str:
-    """Why slips that explain the record better need not have been made, the end of a sentence; empty where they must."""
+    """Why a guess that explains the record better need not be right, the end of a sentence; empty where it is certain."""
     exchanged = any(slip.exchanged for slip in guess.slips)
     if exchanged and own.away <= FOLLOWED:
         return "it follows the record as it is, too: missing physics may favour the other way round"

@@ -46,7 +46,7 @@ LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
 TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws of friction are idealised
 KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
-TOLD = 0.9  # standard deviation of a number, in sizes of its effect or of what was believed, from which on records do not tell it
+UNSEEN = 0.9  # standard deviation of a number, in sizes of its effect or of its prior, from which on records do not show it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
 UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
@@ -696,18 +696,16 @@ def _gap(named: Model, key: str, other: Model, other_key: str) -> float:
     Only numbers that the records tell are counted: that nothing ran backwards is no evidence against a friction of its own there.
     """
     samples = sum(len(r) for r in named.predictor.records)
-    more = (_told(other, other_key) - _told(named, key)) * float(np.log(samples))
+    more = (_seen(other, other_key) - _seen(named, key)) * float(np.log(samples))
     gap = other.deviance - named.deviance + more
     return min(gap, max(more, 0.0)) if _included(named.predictor.plant, key, other_key) else gap
 
 
-def _told(model: Model, key: str) -> int:
+def _seen(model: Model, key: str) -> int:
     """How many numbers of an effect the records tell from none, or from what was believed before."""
-    unknowns = model.fit.unknowns
-    t, own = next((t, place) for t, place in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
-    deviation, sizes = np.sqrt(np.diag(model.fit.covariance)[own]), model.fit.z[own][: len(t.sizes)]
+    sizes, deviation = _numbers(model, key)
     scale = np.where(np.arange(len(deviation)) < len(sizes), float(np.abs(sizes).max()), 1.0)
-    return int(np.sum(deviation < TOLD * scale))
+    return int(np.sum(deviation < UNSEEN * scale))
 
 
 def _included(plant: Plant, key: str, other_key: str) -> bool:
@@ -721,19 +719,18 @@ def _only_more(named: Model, key: str, other: Model, other_key: str) -> bool:
     """Whether a rival is the named cause with numbers more that the records know and do not ask for: the same, no other cause."""
     if not _included(named.predictor.plant, key, other_key):
         return False
-    (size, _), (_, deviation) = _term_sizes(named, key), _term_sizes(other, other_key)
-    known = bool(np.all(deviation < KNOWN * np.abs(size).max()))  # friction of a direction in which nothing moved is not
+    (size, _), (sizes, deviation) = _numbers(named, key), _numbers(other, other_key)
+    known = bool(
+        np.all(deviation[: len(sizes)] < KNOWN * np.abs(size).max())
+    )  # friction of a direction in which nothing moved is not
     return known and named.deviance - other.deviance < ASKED_FOR * (other.numbers - named.numbers)
 
 
-def _term_sizes(model: Model, key: str) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes of an effect and their standard deviations."""
+def _numbers(model: Model, key: str) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of an effect, and standard deviations of all its numbers: of these first, then of its fitted shapes and rotations."""
     fit = model.fit
-    for t, place in zip(fit.unknowns.terms, fit.unknowns.places, strict=True):
-        if t.key == key:
-            own = slice(place.start, place.start + len(t.sizes))
-            return fit.z[own], np.sqrt(np.diag(fit.covariance)[own])
-    raise KeyError(key)
+    t, own = next((t, own) for t, own in zip(fit.unknowns.terms, fit.unknowns.places, strict=True) if t.key == key)
+    return fit.z[own][: len(t.sizes)], np.sqrt(np.diag(fit.covariance)[own])
 
 
 def _pruned(base: Model, steps: list[Step], lesser: _Lesser) -> list[Step]:
@@ -844,11 +841,14 @@ def _only_together(base: Model, steps: Sequence[Step]) -> bool:
 
 
 def _doubts(
-    steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str], only_together: bool = False
+    steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str], only_together: bool
 ) -> dict[str, str]:
     """What speaks against each cause of an incomplete answer; what was found beside one that is not sure is not sure either."""
     if only_together:
-        return {s.key: "only together do these causes explain more than next to nothing: something else may" for s in steps}
+        return {
+            s.key: "without the other causes it explains next to nothing: together they may stand for something else"
+            for s in steps
+        }
     doubts, unsure = {}, ""
     for s in sorted(steps, key=lambda s: -s.gain):
         own = _doubt(s, beyond, worse_than_given, harm[s.key])

@@ -264,15 +264,20 @@ def jacobian(
                 step = -step
             signed.append(step)
             moves.append(z + step * (np.arange(len(z)) == j))
-        points = [unknowns.point(move) for move in moves]
-        e = predictor.errors(
-            i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
-        )
+        e = _errors(predictor, unknowns, i, moves)
         here, there = (e[0], e[1:]) if stays else (at[i], e)
         errors.append(here)
         columns = ((there - here).reshape(len(moved), here.size) / np.array(signed)[:, None]).T
         J.append(np.concatenate([known[i][:, : n + nx], columns], axis=1) if known else columns)
     return tuple(errors), tuple(J)
+
+
+def _errors(predictor: Predictor, unknowns: Unknowns, i: int, vectors: Sequence[np.ndarray]) -> np.ndarray:
+    """Whitened errors (c, N, ny) of record i at c vectors of unknowns."""
+    points = [unknowns.point(z) for z in vectors]
+    return predictor.errors(
+        i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
+    )
 
 
 def sharpened(predictor: Predictor, fit: Fit) -> Fit:
@@ -288,10 +293,7 @@ def sharpened(predictor: Predictor, fit: Fit) -> Fit:
     for i in range(unknowns.records):
         own = unknowns.columns(i)
         sides = [[z + side * moves[j] if j < low else unknowns.clip(z + side * moves[j]) for j in own] for side in (1.0, -1.0)]
-        points = [unknowns.point(x) for x in chain(*sides)]
-        e = predictor.errors(
-            i, np.array([q.p for q in points]), np.array([q.eta[i] for q in points]), np.array([q.start[i] for q in points])
-        )
+        e = _errors(predictor, unknowns, i, [*chain(*sides)])
         between = np.array([ahead[j] - behind[j] for j, ahead, behind in zip(own, *sides, strict=True)])
         change = (e[: len(own)] - e[len(own) :]).reshape(len(own), -1)
         found.append((change / between[:, None]).T)

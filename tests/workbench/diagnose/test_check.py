@@ -277,6 +277,7 @@ def test_a_record_of_another_machine_is_refused_by_its_channels():
     reason = refused(WINDING, drawn(ROBOT, "prbs"))
     assert "has u, arm, v; web-winding needs the inputs V1, V2" in reason.problem
     assert reason.channel == "V1, V2"
+    assert "is it a record of this machine?" in reason.mend
 
 
 def test_a_unit_that_is_part_of_a_name_is_told_apart(winding):

@@ -234,7 +234,7 @@ def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, bey
 
 def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
     steps = [SimpleNamespace(key=key, gain=gain, stable=0.5) for key, gain in (("a@x", 40.0), ("b@x", 700.0), ("c@x", 900.0))]
-    doubts = diagnosis._doubts(steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""})
+    doubts = diagnosis._doubts(steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""}, False)
     assert doubts["c@x"] == ""  # it was there before
     assert doubts["b@x"].startswith("it raises an error")
     assert doubts["a@x"] == "it was found beside b@x, which is not sure"
