@@ -13,7 +13,7 @@ def rates(x, u, p, f):
     q, v, a, w = x
     length = p.l * (1.0 + p.slanted * q)  # a rail that comes down on one side
     m12, m22 = p.m * length * np.cos(a), p.m * length**2
-    across = w * length + v * np.cos(a)  # the load's own speed through the air, not the rope's: that would be the shaft's friction
+    across = w * length + v * np.cos(a)  # the load's through the air; the rope's is the swing's friction
     drag = p.wind * across * np.abs(across)
     r1 = p.k * u[0] - p.b * v + p.m * length * np.sin(a) * w**2 - drag * np.cos(a) + f.trolley
     r2 = f.swing - p.m * 9.81 * length * np.sin(a) - p.c * w - drag * length
