@@ -91,8 +91,26 @@ def response(line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.
     return out
 
 
-# one signature each: arrays are made contiguous before they come here. Products of dense matrices are BLAS's; most entries of H
-# are 0: loops skip them
+# one signature each: arrays are made contiguous before they come here. Matrices are small and most entries of F, G and H are 0 in
+# every sample: loops over the others, listed once, take a fraction of what calls of BLAS do
+@njit("Tuple((u8[::1], u8[:, ::1]))(f8[:, :, ::1])", cache=True)
+def _entries(M):
+    """For each row of M (N, rows, columns) how many entries differ from 0 in any sample, and their columns."""
+    N, rows, columns = M.shape
+    any_of = np.zeros((rows, columns), dtype=np.bool_)
+    for k in range(N):
+        for i in range(rows):
+            for j in range(columns):
+                any_of[i, j] |= M[k, i, j] != 0.0
+    count, index = np.zeros(rows, dtype=np.uint64), np.zeros((rows, columns), dtype=np.uint64)
+    for i in range(rows):
+        for j in range(columns):
+            if any_of[i, j]:
+                index[i, count[i]] = j
+                count[i] += np.uint64(1)
+    return count, index
+
+
 @njit(
     "UniTuple(f8, 2)(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
@@ -100,27 +118,27 @@ def response(line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.
 )  # fmt: skip
 def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
     N, ny, n = H.shape
-    nw = G.shape[2]
-    P, A, B, GQ = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, nw))
-    S, L, HP, WHP = np.zeros((ny, ny)), np.zeros((ny, ny)), np.zeros((ny, n)), np.zeros((ny, n))
+    (f_count, f_index), (g_count, g_index), (h_count, h_index) = _entries(F), _entries(G), _entries(H)
+    P, B = np.zeros((n, n)), np.zeros((n, n))
+    S, L, HP, M = np.zeros((ny, ny)), np.zeros((ny, ny)), np.zeros((ny, n)), np.zeros((ny, n))
     d, ahead = np.zeros(n), np.zeros(n)
     cost, log_det = 0.0, 0.0
     for k in range(N):
-        HP[:, :] = 0.0
         for i in range(ny):
+            HP[i, :] = 0.0
             if present[k, i]:
-                for m in range(n):
+                for x in range(h_count[i]):
+                    m = h_index[i, x]
                     h = H[k, i, m]
-                    if h != 0.0:
-                        for j in range(n):
-                            HP[i, j] += h * P[m, j]
+                    for j in range(n):
+                        HP[i, j] += h * P[m, j]
         for i in range(ny):
             for j in range(i + 1):
                 total = 0.0
                 if present[k, i] and present[k, j]:
-                    for m in range(n):
-                        if H[k, j, m] != 0.0:
-                            total += HP[i, m] * H[k, j, m]
+                    for x in range(h_count[j]):
+                        m = h_index[j, x]
+                        total += HP[i, m] * H[k, j, m]
                 if i == j:
                     total = total + r[i] if present[k, i] else 1.0
                 S[i, j] = total
@@ -142,14 +160,25 @@ def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
                 for m in range(j, i):
                     total -= L[i, m] * W[k, m, j]
                 W[k, i, j] = total / L[i, i]
-        np.dot(W[k], HP, WHP)
-        np.dot(WHP.T, W[k], K[k])  # K = (HP)' W' W; columns of what was not measured are 0, for so are rows of HP
+        for i in range(ny):  # M = W HP
+            for j in range(n):
+                M[i, j] = W[k, i, i] * HP[i, j]
+            for m in range(i):
+                for j in range(n):
+                    M[i, j] += W[k, i, m] * HP[m, j]
+        for i in range(n):  # K = M' W; columns of what was not measured are 0, for so are rows of HP
+            for j in range(ny):
+                total = 0.0
+                for m in range(j, ny):
+                    total += M[m, i] * W[k, m, j]
+                K[k, i, j] = total
         if len(told) > 0:
             for i in range(ny):
                 total = 0.0
                 if present[k, i]:
                     total = told[k, i]
-                    for m in range(n):
+                    for x in range(h_count[i]):
+                        m = h_index[i, x]
                         total -= H[k, i, m] * d[m]
                 e[k, i] = total
             for i in range(ny):
@@ -164,23 +193,53 @@ def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
                         d[i] -= old[k, i, j] * told[k, j]
             for i in range(last.shape[1]):
                 last[k, i] = d[n - last.shape[1] + i]
-            np.dot(F[k], d, ahead)
+            for i in range(n):
+                total = 0.0
+                for x in range(f_count[i]):
+                    m = f_index[i, x]
+                    total += F[k, i, m] * d[m]
+                ahead[i] = total
             d[:] = ahead
-        np.dot(K[k], HP, B)
-        for i in range(n):  # A = P - K HP, symmetric
-            for j in range(i + 1):
-                A[i, j] = A[j, i] = 0.5 * (P[i, j] - B[i, j] + (P[j, i] - B[j, i]))
+        for m in range(ny):  # A = P - K HP = P - M' M, in place of P: its lower half, mirrored
+            for i in range(n):
+                for j in range(i + 1):
+                    P[i, j] -= M[m, i] * M[m, j]
+        for i in range(n):
+            for j in range(i):
+                P[j, i] = P[i, j]
         for i in range(columns.shape[2]):
             for j in range(n):
-                columns[k, j, i] = A[j, n - columns.shape[2] + i]
-        np.dot(F[k], A, B)
-        np.dot(B, F[k].T, P)
-        for i in range(n):
-            for m in range(nw):
-                GQ[i, m] = G[k, i, m] * q[m]
-        np.dot(GQ, G[k].T, A)
-        P += A
+                columns[k, j, i] = P[j, n - columns.shape[2] + i]
+        for i in range(n):  # B = F A
+            B[i, :] = 0.0
+            for x in range(f_count[i]):
+                m = f_index[i, x]
+                f = F[k, i, m]
+                for j in range(n):
+                    B[i, j] += f * P[m, j]
+        for i in range(n):  # P = B F' + G Q G'
+            for j in range(i + 1):
+                total = 0.0
+                for x in range(f_count[j]):
+                    m = f_index[j, x]
+                    total += B[i, m] * F[k, j, m]
+                for x in range(g_count[i]):
+                    m = g_index[i, x]
+                    total += G[k, i, m] * q[m] * G[k, j, m]
+                P[i, j] = P[j, i] = total
     return cost, log_det
+
+
+@njit(inline="always")
+def _gathered(K, B, KB):
+    """KB = K' B."""
+    n, ny = K.shape
+    KB[:, :] = 0.0
+    for i in range(n):
+        for b in range(ny):
+            f = K[i, b]
+            for j in range(n):
+                KB[b, j] += f * B[i, j]
 
 
 @njit(
@@ -192,27 +251,51 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
     """Slopes of the deviance, from the end back: r- = H' S^-1 e + (I - K H)' F' r, and X its covariance."""
     N, ny, n = H.shape
     nw = G.shape[2]
-    X, B, C, XG = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, nw))
+    (f_count, f_index), (g_count, g_index), (h_count, h_index) = _entries(F), _entries(G), _entries(H)
+    X, B, C = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
     r, back, u, w = np.zeros(n), np.zeros(n), np.zeros(ny), np.zeros(ny)
+    along, bend = np.zeros(nw), np.zeros(nw)
     KB, SI = np.zeros((ny, n)), np.zeros((ny, ny))
     fading, by_decay = last.shape[1], 0.0
     for k in range(N - 1, -1, -1):
-        np.dot(X, G[k], XG)
+        along[:], bend[:] = 0.0, 0.0
+        for i in range(n):
+            for x in range(g_count[i]):
+                m = g_index[i, x]
+                along[m] += G[k, i, m] * r[i]
+                total = 0.0
+                for j in range(n):
+                    total += X[i, j] * G[k, j, m]
+                bend[m] += G[k, i, m] * total
         for m in range(nw):
-            along, bend = 0.0, 0.0
-            for i in range(n):
-                along += G[k, i, m] * r[i]
-                bend += G[k, i, m] * XG[i, m]
-            by_q[m] += bend - along * along
-        np.dot(F[k].T, r, back)
-        np.dot(X, F[k], C)
-        np.dot(F[k].T, C, B)
+            by_q[m] += bend[m] - along[m] * along[m]
+        back[:] = 0.0
+        for i in range(n):
+            for x in range(f_count[i]):
+                m = f_index[i, x]
+                back[m] += F[k, i, m] * r[i]
+        C[:, :], B[:, :] = 0.0, 0.0
+        for i in range(n):  # C = F' X
+            for x in range(f_count[i]):
+                m = f_index[i, x]
+                f = F[k, i, m]
+                for j in range(n):
+                    C[m, j] += f * X[i, j]
+        for i in range(n):  # B = F' X F
+            for x in range(f_count[i]):
+                m = f_index[i, x]
+                f = F[k, i, m]
+                for j in range(m + 1):
+                    B[m, j] += f * C[j, i]
+        for i in range(n):
+            for j in range(i):
+                B[j, i] = B[i, j]
         for f in range(fading):  # E[r d'] - X F A, of the last states
             i = n - fading + f
             there = last[k, f]
             for j in range(n):
                 there += columns[k, j, f] * back[j]
-                by_decay += 2.0 * C[i, j] * columns[k, j, f]
+                by_decay += 2.0 * C[j, i] * columns[k, j, f]
             by_decay -= 2.0 * r[i] * there
         for a in range(ny):
             w[a] = 0.0
@@ -224,7 +307,7 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
                 u[b] += W[k, a, b] * w[a]
             for i in range(n):
                 u[b] -= K[k, i, b] * back[i]
-        np.dot(K[k].T, B, KB)
+        _gathered(K[k], B, KB)
         for a in range(ny):
             for b in range(ny):
                 SI[a, b] = 0.0
@@ -237,27 +320,28 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
         # r = H' u + F' r, X = (I - K H)' B (I - K H) + H' S^-1 H, one factor after the other: multiplied out it is unstable
         for b in range(ny):
             if present[k, b]:
-                for j in range(n):
+                for x in range(h_count[b]):
+                    j = h_index[b, x]
                     h = H[k, b, j]
-                    if h != 0.0:
-                        back[j] += h * u[b]
-                        for i in range(n):
-                            B[i, j] -= KB[b, i] * h
-        np.dot(K[k].T, B, KB)
+                    back[j] += h * u[b]
+                    for i in range(n):
+                        B[i, j] -= KB[b, i] * h
+        _gathered(K[k], B, KB)
         for a in range(ny):
             if present[k, a]:
-                for i in range(n):
+                for x in range(h_count[a]):
+                    i = h_index[a, x]
                     h = H[k, a, i]
-                    if h != 0.0:
-                        for j in range(n):
-                            B[i, j] -= h * KB[a, j]
-                        for b in range(ny):
-                            if present[k, b]:
-                                for j in range(n):
-                                    B[i, j] += h * SI[a, b] * H[k, b, j]
+                    for j in range(n):
+                        B[i, j] -= h * KB[a, j]
+                    for b in range(ny):
+                        if present[k, b]:
+                            for z in range(h_count[b]):
+                                j = h_index[b, z]
+                                B[i, j] += h * SI[a, b] * H[k, b, j]
         for i in range(n):
-            for j in range(n):
-                X[i, j] = 0.5 * (B[i, j] + B[j, i])
+            for j in range(i + 1):
+                X[i, j] = X[j, i] = 0.5 * (B[i, j] + B[j, i])
         r[:] = back
     return by_decay
 
