@@ -33,7 +33,17 @@ from workbench.diagnose.predictor import Noise, predictor
 from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.referee import Judge, as_given, harms, helps, worse
-from workbench.diagnose.refit import Model, from_special, is_late, lasting, refits, settled, shortlist, without
+from workbench.diagnose.refit import (
+    Model,
+    from_special,
+    is_late,
+    lasting,
+    refits,
+    settled,
+    shortlist,
+    with_coloured_noise,
+    without,
+)
 from workbench.diagnose.remainder import Left, label, remainder
 from workbench.diagnose.rounding import Rounded, limit, rounded
 from workbench.diagnose.screen import SIGNIFICANT, Score, Signature, scores, signatures, similarity, small_sizes, variants
@@ -48,6 +58,7 @@ TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause
 KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
 UNSEEN = 0.9  # standard deviation of a number, in sizes of its effect or of its prior, from which on records do not show it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
+BESIDE = 0.1  # share of what a cause gains from which on, left without a name, it is not sure
 UNTOLD = 0.5  # share of what causes gain from which on, left without a name, they are none if their sizes differ between records
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
 ALONE = 0.2  # share of what causes explain together, below which they are not sure where each of them left out leaves no more
@@ -66,6 +77,7 @@ LONG_RUN = 0.2  # share of the error a second ahead that a search without colour
 HELPFUL = 0.1  # the same for each of its causes
 PLAY = "backlash"
 NONE = "would explain these records at a size that they do not tell from none"
+TRIFLE = "would explain a little more, but takes no error down by a share that matters"
 DIGITS = 1e-6  # relative, to which the values of a record tell a step
 
 
@@ -121,12 +133,12 @@ def diagnose(
     judge = Judge(held_out or dataset, held_out is not None)
     progress("recalibrating")
     given = as_given(plant, dataset, drift=drift, threads=threads)
-    base = lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name)
+    base = _as_coloured(lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name))
     found = _judged(_searched(base, np.inf if drift else 1.0 - HELPFUL, progress), judge, longer=not drift)
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or _forgiven(judge, found)):
         progress("again, without torques that come and go")
-        bare = _recalibrated(plant, dataset, False, threads)
+        bare = _as_coloured(_recalibrated(plant, dataset, False, threads))
         again = _judged(_searched(bare, 1.0 - HELPFUL, progress), judge, longer=True) if bare.sound else None
         if again and again.steps and not _tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
             found = replace(again, local=again.local or found.local)
@@ -141,6 +153,8 @@ def diagnose(
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
     if len(base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
         given = as_given(plant, dataset, drift=False, threads=threads)
+    if len(base.predictor.noise.coloured):
+        given = with_coloured_noise(given, np.zeros(len(plant.slots)))
     objections = judge.objections("extended" if steps else "recalibrated", given, model)
     kept = bool(objections) and not steps  # what names nothing must not bend parameters either
     rounds = tuple(_rounded(plant, r) for r in rounded(filtered(model).predictor))
@@ -151,7 +165,8 @@ def diagnose(
     only_together = only_together and len(steps) > 1
     if finding is Finding.NAMED and steps and (beyond or objections or only_together or any(harm.values())):
         finding = Finding.INCOMPLETE
-    doubts = _doubts(steps, bool(beyond), bool(objections), harm, only_together) if finding is Finding.INCOMPLETE else {}
+    left = _strongest(found.left)
+    doubts = _doubts(steps, bool(beyond), bool(objections), harm, only_together, left) if finding is Finding.INCOMPLETE else {}
     causes = tuple(replace(_cause(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts.get(s.key, "")) for s in steps)
     return Diagnosis(
         plant=plant.name,
@@ -195,10 +210,11 @@ class Local:
 
 @record
 class Refused:
-    """An effect that the search took for a cause and the referee does not."""
+    """An effect that the search took for a cause and the referee does not; gain: BIC beside the others."""
 
     key: str
     why: str
+    gain: float
 
     def __str__(self) -> str:
         return f"{self.key} {self.why}"
@@ -240,8 +256,10 @@ class _Found:
     @property
     def finding(self) -> Finding:
         found = _finding(self.steps, self.left, self.model)
-        odd = self.local is not None and self.local.gain > LAWS * sum(s.gain for s in self.steps)
-        if odd or self.refused:  # all is not well, whatever the remainder is like
+        told = LAWS * sum(s.gain for s in self.steps)
+        odd = self.local is not None and self.local.gain > told
+        # all is not well, whatever the remainder is like; what takes no error down by a share that matters takes nothing away
+        if odd or any(r.gain > told and not (self.steps and r.why == TRIFLE) for r in self.refused):
             return {Finding.NOTHING: Finding.UNKNOWN, Finding.NAMED: Finding.INCOMPLETE}.get(found, found)
         return found
 
@@ -259,6 +277,17 @@ def _no_worse(given: Model, base: Model) -> Model:
     z = own.vector(given.fit.point, [])
     again = settled(Model(given.predictor, gauss_newton(given.predictor, own, z, nothing)), nothing)
     return min((base, again), key=lambda m: m.posterior)
+
+
+def _as_coloured(base: Model) -> Model:
+    """The model with a coloured part in the noise of its sensors, if these records have one; else as it is.
+
+    Without it, what a sensor's noise was a sample ago looks like something that the machine lacks: under feedback above all,
+    where the inputs carry it.
+    """
+    tried = with_coloured_noise(base, np.zeros(len(base.predictor.plant.slots))) if base.sound else base
+    more = (np.sum(base.predictor.measured) + 1) * np.log(sum(map(len, base.predictor.records)))
+    return tried if tried.sound and tried.deviance + more < base.deviance else base
 
 
 def _forgiven(judge: Judge, found: _Found) -> bool:
@@ -604,7 +633,7 @@ def _judged(found: _Found, judge: Judge, *, longer: bool) -> _Found:
     if found.finding is Finding.UNKNOWN and found.steps:
         # what does not hold everywhere beside so much that is left is no name
         why = "would explain part of it, but not with one size in all records"
-        refused = (*found.refused, *(Refused(s.key, why) for s in found.steps))
+        refused = (*found.refused, *(Refused(s.key, why, s.gain) for s in found.steps))
         found = replace(found, steps=(), left=tuple(remainder(found.base)), refused=refused)
     return found
 
@@ -614,7 +643,7 @@ def _dropped(found: _Found, step: Step, why: str) -> _Found:
     rest = _facing([replace(s, after=step.before) for s in found.steps if s is not step], [step.key])
     steps = _kept(found.base, rest, found.lesser, found.most) if rest else []
     left = remainder(steps[-1].after if steps else found.base)
-    return replace(found, steps=tuple(steps), left=tuple(left), refused=(*found.refused, Refused(step.key, why)))
+    return replace(found, steps=tuple(steps), left=tuple(left), refused=(*found.refused, Refused(step.key, why, step.gain)))
 
 
 def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: bool) -> str:
@@ -633,7 +662,7 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
     if step.after.farthest > FAR > step.before.farthest:
         return "would explain a little more, but with parameters far from their data sheet"
     if not helps(found, MATTERS if strongest else MATTERS_ALONE):
-        return "would explain a little more, but takes no error down by a share that matters"
+        return TRIFLE
     if harmed := harms(found):
         return f"would explain a little more, but makes an error worse ({harmed[0]})"
     return ""
@@ -787,11 +816,16 @@ def _finding(steps: Sequence[Step], left: Sequence[Left], model: Model) -> Findi
     worst = min((x.p_family for x in left), default=1.0)
     if not steps:
         return Finding.UNKNOWN if worst < ALPHA and _visible(left, model) else Finding.NOTHING
-    strongest = max((x.statistic for x in left if x.p_family < LEFT_OVER), default=0.0)
+    strongest = _strongest(left)
     if strongest > LAWS * sum(s.gain for s in steps) and _visible(left, model):
         unstable = any(s.stable < LEFT_OVER for s in steps)
         return Finding.UNKNOWN if strongest > UNTOLD * sum(s.gain for s in steps) and unstable else Finding.INCOMPLETE
     return Finding.INCOMPLETE if any(s.stable < LEFT_OVER for s in steps) else Finding.NAMED
+
+
+def _strongest(left: Sequence[Left]) -> float:
+    """Statistic of what is left for sure beside causes."""
+    return max((x.statistic for x in left if x.p_family < LEFT_OVER), default=0.0)
 
 
 def _visible(left: Sequence[Left], model: Model) -> bool:
@@ -841,9 +875,12 @@ def _only_together(base: Model, steps: Sequence[Step]) -> bool:
 
 
 def _doubts(
-    steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str], only_together: bool
+    steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str], only_together: bool, left: float
 ) -> dict[str, str]:
-    """What speaks against each cause of an incomplete answer; what was found beside one that is not sure is not sure either."""
+    """What speaks against each cause of an incomplete answer; what was found beside one that is not sure is not sure either.
+
+    left: the statistic of what has no name.
+    """
     if only_together:
         return {
             s.key: "without the other causes it explains next to nothing: together they may stand for something else"
@@ -851,13 +888,13 @@ def _doubts(
         }
     doubts, unsure = {}, ""
     for s in sorted(steps, key=lambda s: -s.gain):
-        own = _doubt(s, beyond, worse_than_given, harm[s.key])
+        own = _doubt(s, beyond, worse_than_given, harm[s.key], left)
         doubts[s.key] = own or (f"it was found beside {unsure}, which is not sure" if unsure else "")
         unsure = unsure or (s.key if own else "")
     return doubts
 
 
-def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str) -> str:
+def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: float) -> str:
     """What speaks against a cause of an incomplete answer, empty where nothing does; beyond: parameters left their tolerance."""
     if step.stable < LEFT_OVER:
         return "its size differs between the records"
@@ -865,7 +902,11 @@ def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str) -> str:
         return "the extended plant is worse on records that it has not seen than the plant that came"
     if harm:
         return f"it raises an error on records that it has not seen, {harm}"
-    return "it needs parameters far from their data sheet" if beyond else ""
+    if beyond:
+        return "it needs parameters far from their data sheet"
+    if left > BESIDE * step.gain:  # the errors of the model's form are as large, and what has no name may be all there is
+        return f"what is left without a name is {100 * left / step.gain:.0f} % of what it explains"
+    return ""
 
 
 def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:

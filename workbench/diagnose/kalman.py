@@ -41,13 +41,13 @@ def gains(line: Linearization, process: np.ndarray, measurement: np.ndarray) -> 
 class Likelihood:
     """-2 log likelihood but for a constant, and its slopes over the variances of process (nw) and measurement noise (ny).
 
-    decay: the slope over a number that is added to the last diagonal entries of F.
+    decay (n): the slopes over the last diagonal entries of F.
     """
 
     deviance: float
     process: np.ndarray
     measurement: np.ndarray
-    decay: float
+    decay: np.ndarray
 
 
 def likelihood(
@@ -62,9 +62,9 @@ def likelihood(
     K, W, e = np.zeros((N, n, ny)), np.zeros((N, ny, ny)), np.zeros((N, ny))
     d, A = np.zeros((N, fading)), np.zeros((N, n, fading))
     cost, log_det = _run(line, process, measurement, K, W, gain, innovations, e, d, A)
-    by_process, by_measurement = np.zeros(len(process)), np.zeros(ny)
+    by_process, by_measurement, by_decay = np.zeros(len(process)), np.zeros(ny), np.zeros(fading)
     F, G, H = (np.ascontiguousarray(a) for a in (line.F, line.G, line.H))
-    by_decay = _slopes(F, G, H, np.ascontiguousarray(line.present), K, W, e, d, A, by_process, by_measurement)
+    _slopes(F, G, H, np.ascontiguousarray(line.present), K, W, e, d, A, by_process, by_measurement, by_decay)
     return Likelihood(cost + log_det, by_process, by_measurement, by_decay)
 
 
@@ -243,11 +243,11 @@ def _gathered(K, B, KB):
 
 
 @njit(
-    "f8(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1],"
-    "f8[:, :, ::1], f8[::1], f8[::1])",
+    "void(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1],"
+    "f8[:, :, ::1], f8[::1], f8[::1], f8[::1])",
     cache=True, error_model="numpy",
 )  # fmt: skip
-def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
+def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r, by_decay):
     """Slopes of the deviance, from the end back: r- = H' S^-1 e + (I - K H)' F' r, and X its covariance."""
     N, ny, n = H.shape
     nw = G.shape[2]
@@ -256,7 +256,7 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
     r, back, u, w = np.zeros(n), np.zeros(n), np.zeros(ny), np.zeros(ny)
     along, bend = np.zeros(nw), np.zeros(nw)
     KB, SI = np.zeros((ny, n)), np.zeros((ny, ny))
-    fading, by_decay = last.shape[1], 0.0
+    fading = last.shape[1]
     for k in range(N - 1, -1, -1):
         along[:], bend[:] = 0.0, 0.0
         for i in range(n):
@@ -295,8 +295,8 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
             there = last[k, f]
             for j in range(n):
                 there += columns[k, j, f] * back[j]
-                by_decay += 2.0 * C[j, i] * columns[k, j, f]
-            by_decay -= 2.0 * r[i] * there
+                by_decay[f] += 2.0 * C[j, i] * columns[k, j, f]
+            by_decay[f] -= 2.0 * r[i] * there
         for a in range(ny):
             w[a] = 0.0
             for b in range(a + 1):
@@ -343,7 +343,6 @@ def _slopes(F, G, H, present, K, W, e, last, columns, by_q, by_r):
             for j in range(i + 1):
                 X[i, j] = X[j, i] = 0.5 * (B[i, j] + B[j, i])
         r[:] = back
-    return by_decay
 
 
 @njit(

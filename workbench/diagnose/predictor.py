@@ -3,11 +3,11 @@
     e_k = y_k - h(x_k; p, eta),   x_{k+1} = flow(x_k + K_k e_k, u_k; p, eta)      (innovations form)
 
 The gain comes from one pass along the records and is then held while parameters p and effects eta move: predictions for many
-hypotheses run side by side on the compiled step. Process noise enters as a rate of change on the states named in `entries`,
-constant over each sample: torques on shafts, what drives a state besides its input, rates of tension. But for tensions it has a
-white and a coloured part, and the filter estimates the coloured one, d+ = a d + w: a torque that comes and goes is no missing
-physics. Errors are whitened,
-W_k e_k with W S W' = I.
+hypotheses run side by side on the compiled step. Process noise enters where `entries` say, constant over each sample: at inputs
+that move several states at once, and as a rate of change of states: torques on shafts, what drives a state besides its input,
+rates of tension. But for tensions it has a white and a coloured part, and the filter estimates the coloured one, d+ = a d + w: a
+torque that comes and goes is no missing physics. So it does with the noise of the sensors where that is coloured. Errors are
+whitened, W_k e_k with W S W' = I.
 """
 
 from collections.abc import Iterable, Sequence
@@ -62,24 +62,28 @@ class Record:
 
 @record
 class Noise:
-    """Standard deviations: measurement (ny) of each output; process (nw) of the rate of each entry state, white per sample.
+    """Standard deviations: measurement (ny) of each output; process (nw) of each entry, a rate or an input, white per sample.
 
-    drift (nd): steps of the coloured part, of time constant `memory`, on the first nd entries.
+    drift (nd): steps of the coloured part, of time constant `memory`, on the first nd entries. coloured (nc: ny or none): the
+    same of the outputs, of time constant `correlation_time`.
     """
 
     measurement: np.ndarray = field("ny", low=0.0)
     process: np.ndarray = field("nw", low=0.0)
     drift: np.ndarray = field("nd", low=0.0)
     memory: float = field("", unit="s", low=0.0, default=0.3)
+    coloured: np.ndarray = field("nc", low=0.0, default_factory=lambda: np.empty(0))
+    correlation_time: float = field("", unit="s", low=0.0, default=0.1)
 
-    def decay(self, dt: float) -> float:
-        """By how much the coloured part fades in a sample."""
-        return float(np.exp(-dt / self.memory))
+    def decays(self, dt: float) -> np.ndarray:
+        """By how much the coloured parts (nd + nc) fade in a sample."""
+        times = [self.memory] * len(self.drift) + [self.correlation_time] * len(self.coloured)
+        return np.exp(-dt / np.array(times)) if times else np.empty(0)
 
     @property
     def pushes(self) -> np.ndarray:
-        """All levels that enter a state: process, drift (nw + nd)."""
-        return np.concatenate([self.process, self.drift])
+        """All levels that enter a state of the filter: process, drift, coloured (nw + nd + nc)."""
+        return np.concatenate([self.process, self.drift, self.coloured])
 
 
 @record
@@ -194,8 +198,7 @@ class Predictor:
 
     def with_noise(self, noise: Noise) -> "Predictor":
         """The same predictor with other noise levels: gains about the trajectories that it has."""
-        nd, decay = len(noise.drift), noise.decay(self.plant.dt)
-        lines = tuple(with_decay(line, nd, decay) for line in self.lines)
+        lines = tuple(with_decays(line, noise.decays(self.plant.dt)) for line in self.lines)
         return replace(self, noise=noise, lines=lines, passes=tuple(gains(x, noise.pushes, noise.measurement) for x in lines))
 
     def coarser(self) -> "Predictor":
@@ -238,15 +241,18 @@ class Predictor:
         return stepper.run(self.plant, player(self.plant), lanes, self.substeps, self.threads, steering)
 
     def _gain_of_all(self, i: int) -> np.ndarray:
-        """The gain (N, n, ny) with a row for every angle, sensor memory and drift, 0 where the filter does not carry them."""
-        full = np.zeros((len(self.records[i]), self._width + len(self.plant.states), len(self.plant.outputs)))
+        """The gain (N, n, ny) with a row for all that a filter may carry, 0 where this one does not."""
+        ny = len(self.plant.outputs)
+        full = np.zeros((len(self.records[i]), self._readings + ny, ny))
         if self.passes:
             full[:, self.carried.astype(int)] = self.passes[i].gain
         return full
 
     def _steered(self, i: int, *, drift: bool = True, full: bool = False) -> stepper.Steering:
-        """Corrected by record i; without drift the coloured torques are held at 0."""
-        decay = np.full(len(self.plant.states), self.noise.decay(self.plant.dt))
+        """Corrected by record i; without drift all that is coloured is held at 0."""
+        noise, plant = self.noise, self.plant
+        times = np.repeat([noise.memory, noise.correlation_time], [self._readings - self._width, len(plant.outputs)])
+        decay = np.exp(-plant.dt / times)
         if not self.passes:
             return stepper.Steering(decay=decay, full=full)
         carried = self.carried[self.carried < (np.inf if drift else self._width)].astype(int)
@@ -267,6 +273,11 @@ class Predictor:
     def _width(self) -> int:
         return self._memories + len(self.plant.memories)
 
+    @property
+    def _readings(self) -> int:
+        """Where the coloured parts of the readings begin, behind those of the rates of states and of the inputs."""
+        return self._width + len(self.plant.states) + len(self.plant.inputs)
+
     def _active(self) -> np.ndarray:
         """Indices in the full state that a filter carries: states, angles, and of effects that are on states and memories."""
         plant, eta = self.plant, _smooth(self.plant, self.point.eta)
@@ -276,9 +287,11 @@ class Predictor:
         return np.array([*range(self._inner), *inner, *kept], dtype=int)
 
     def _carried(self) -> np.ndarray:
-        """Indices of all that a filter carries, in the rows of the kernel's gain: the active ones and the drifts."""
-        drifting = [self._width + self.plant.state_names.index(name) for name in self.entries[: len(self.noise.drift)]]
-        return np.concatenate([self._active(), np.array(drifting, dtype=int)])
+        """Indices of all that a filter carries, in the rows of the kernel's gain: the active ones and what is coloured."""
+        places = [*self.plant.state_names, *self.plant.input_names]
+        drifting = [self._width + places.index(name) for name in self.entries[: len(self.noise.drift)]]
+        readings = self._readings + np.arange(len(self.noise.coloured))
+        return np.concatenate([self._active(), np.array(drifting, dtype=int), readings])
 
     def _linearized(self, i: int) -> Linearization:
         """F, G, H along the corrected trajectory of record i at the point, by differences of the flow over one sample."""
@@ -287,24 +300,38 @@ class Predictor:
         start, N, nx = self.point.start[i][None], len(r), len(plant.states)
         corrected = self.corrected(i, self.point)
         size = np.abs(corrected).max(axis=0) + np.concatenate([r.scale, np.ones(self._width - nx)])
-        entries = [plant.state_names.index(name) for name in self.entries]
-        lanes = 1 + len(active) + len(entries)
+        lanes = 1 + len(active) + len(self.entries)
         restart = np.repeat(corrected[:, :, None], lanes, axis=2)
-        push = np.zeros((N, nx, lanes))
+        push, pushed = np.zeros((N, nx, lanes)), np.zeros(len(self.entries))
         for c, j in enumerate(active):
             restart[:, j, 1 + c] += STEP * size[j]
-        rate = size[entries] * STEP / plant.dt
-        for c, j in enumerate(entries):
-            push[:, j, 1 + len(active) + c] = rate[c]
+        acting = self._acting(i, corrected[:, :nx], eta)
+        for c, name in enumerate(self.entries):
+            if name in plant.state_names:
+                j = plant.state_names.index(name)
+                pushed[c] = size[j] * STEP / plant.dt
+                push[:, j, 1 + len(active) + c] = pushed[c]
+            else:
+                moves = acting[:, :, plant.input_names.index(name)]
+                pushed[c] = STEP / plant.dt * float(np.min(size[:nx] / np.maximum(np.abs(moves).max(axis=0), 1e-300)))
+                push[:, :, 1 + len(active) + c] = pushed[c] * moves
         flow = self._run(r, p, np.repeat(eta, lanes, axis=0), start, stepper.Steering(restart=restart, push=push, full=True)).full
         assert flow is not None
         change = flow[1:, 1:, active] - flow[:1, 1:, active]  # (lanes - 1, N - 1, n)
         F = change[: len(active)].transpose(1, 2, 0) / (STEP * size[active])
-        G = change[len(active) :].transpose(1, 2, 0) / rate
+        G = change[len(active) :].transpose(1, 2, 0) / pushed
         H = self._sensed(r, corrected, eta[0], active, STEP * size)
         last = [np.concatenate([M, M[-1:]]) for M in (F, G)]
-        nd = len(self.noise.drift)
-        return _with_drift(Linearization(last[0], last[1], H, np.isfinite(r.seen)), nd, self.noise.decay(plant.dt))
+        line = Linearization(last[0], last[1], H, np.isfinite(r.seen))
+        return _coloured(line, len(self.noise.drift), len(self.noise.coloured), self.noise.decays(plant.dt))
+
+    def _acting(self, i: int, x: np.ndarray, eta: np.ndarray) -> np.ndarray:
+        """What the inputs do to the rates of change at x (N, nx) along record i: (N, nx, nu); empty where none is an entry."""
+        plant, r = self.plant, self.records[i]
+        if set(self.entries) <= set(plant.state_names):
+            return np.empty((len(x), len(plant.states), 0))
+        p, eta = (np.repeat(row[None], len(x), axis=0) for row in (self.point.p, eta[0]))
+        return np.nan_to_num(plant.jacobians_of(x, r.u, p, eta)[1], posinf=0.0, neginf=0.0)
 
     def _sensed(self, r: Record, full: np.ndarray, eta: np.ndarray, active: np.ndarray, step: np.ndarray) -> np.ndarray:
         """H (N, ny, n): what a change of the carried states does to the readings of the sensors."""
@@ -319,19 +346,20 @@ class Predictor:
         return ((y[:, 1:] - y[:, :1]) / step[active, None]).transpose(2, 0, 1)
 
 
-def _with_drift(line: Linearization, nd: int, decay: float) -> Linearization:
-    """The first nd pushes with a coloured part of their own: states d+ = decay d + w that push like them."""
-    N, n, nw = line.G.shape
-    F, G = np.zeros((N, n + nd, n + nd)), np.zeros((N, n + nd, nw + nd))
-    F[:, :n, :n], F[:, :n, n:], F[:, n:, n:] = line.F, line.G[:, :, :nd], decay * np.eye(nd)
-    G[:, :n, :nw], G[:, n:, nw:] = line.G, np.eye(nd)
-    return Linearization(F, G, np.concatenate([line.H, np.zeros((N, line.H.shape[1], nd))], axis=2), line.present)
+def _coloured(line: Linearization, nd: int, nc: int, decays: np.ndarray) -> Linearization:
+    """The first nd pushes and the nc outputs with a coloured part of their own: states d+ = decay d + w that act like them."""
+    (N, n, nw), ny, more = line.G.shape, line.H.shape[1], nd + nc
+    F, G, H = np.zeros((N, n + more, n + more)), np.zeros((N, n + more, nw + more)), np.zeros((N, ny, n + more))
+    F[:, :n, :n], F[:, :n, n : n + nd] = line.F, line.G[:, :, :nd]
+    G[:, :n, :nw], G[:, n:, nw:] = line.G, np.eye(more)
+    H[:, :, :n], H[:, :, n + nd :] = line.H, np.eye(ny)[:, :nc]
+    return with_decays(Linearization(F, G, H, line.present), decays)
 
 
-def with_decay(line: Linearization, nd: int, decay: float) -> Linearization:
-    """The same with another fading of the coloured parts."""
-    F = line.F.copy()
-    F[:, F.shape[1] - nd :, F.shape[1] - nd :] = decay * np.eye(nd)
+def with_decays(line: Linearization, decays: np.ndarray) -> Linearization:
+    """The same with coloured parts, the last states, that decay otherwise."""
+    F, n = line.F.copy(), line.F.shape[1] - len(decays)
+    F[:, n:, n:] = np.diag(decays)
     return replace(line, F=F)
 
 
@@ -482,19 +510,21 @@ def _fastest(A: np.ndarray) -> float:
 
 
 def _entries(plant: Plant) -> tuple[tuple[str, ...], int]:
-    """States whose rate of change carries what nobody logged, those first that carry a coloured part, and how many these are.
+    """Where what nobody logged enters: inputs and states, those first that carry a coloured part, and how many these are.
 
-    States that turn or slide, and all others that an input moves directly, for what nobody logged enters where inputs do: a
-    valve that leaks, a fan that the mains disturb; then, white only, the tensions of spans. What the plant itself states goes
-    before all that. An equation that takes states from sample to sample has no rates, and nothing coloured.
+    What nobody logged enters where inputs do: a valve that leaks, a fan that the mains disturb. Inputs that move several states
+    at once, for the force on a cart that swings a pendulum is one, not two; states that turn or slide, and all others that an
+    input moves directly; then, white only, the tensions of spans. What the plant itself states goes before all that. An equation
+    that takes states from sample to sample has no rates, and nothing coloured.
     """
     turning = [port.speed for port in plant.ports if hasattr(port, "speed")]
     spans = [port.tension for port in plant.ports if hasattr(port, "tension")]
-    x, u = plant.equilibrium()
-    moved = np.abs(plant.linearize(x, u)[1]).sum(axis=1) > 0.0
-    driven = [name for name, is_moved in zip(plant.state_names, moved, strict=True) if is_moved and name not in spans]
-    coloured = [] if plant.discrete else [*turning, *driven]
-    named = dict.fromkeys(plant.process or [*turning, *driven, *spans])
+    moved = plant.linearize(*plant.equilibrium())[1] != 0.0
+    driven = [name for name, own in zip(plant.state_names, moved, strict=True) if own.any() and name not in spans]
+    apart = np.array([name not in spans for name in plant.state_names])
+    shared = [name for name, own in zip(plant.input_names, moved.T, strict=True) if own[apart].sum() > 1 and not plant.discrete]
+    coloured = [] if plant.discrete else [*shared, *turning, *driven]
+    named = dict.fromkeys(plant.process or [*shared, *turning, *driven, *spans])
     first = [name for name in named if name in coloured]
     return (*first, *(name for name in named if name not in first)), len(first)
 
@@ -516,7 +546,8 @@ def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str], coloure
         measured.append(max(estimate, 1e-6 * spread, 1e-12))
     spread = np.array([max(float(np.std(e[n])) if n in e.names else 0.0 for e in dataset) for n in plant.input_names])
     stated = np.array([plant.disturbance.get(n, 0.0) for n in plant.input_names])
-    push = dict(zip(plant.state_names, _pushed(plant, np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)), strict=True))
+    inputs = np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)
+    push = dict(zip(plant.input_names, inputs, strict=True)) | dict(zip(plant.state_names, _pushed(plant, inputs), strict=True))
     process = [plant.process.get(name, max(push[name], 1e-12)) for name in entries]
     white = np.array(process)
     return Noise(np.array(measured), white, 0.1 * white[:coloured])

@@ -26,6 +26,7 @@ LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried 
 FEW_SENSORS = 2
 LEVELS = (1.0, 2.0, 0.5)  # of a special case's level, from which a more general law begins
 FAR_OFF = 10.0  # deviance a sample from which a start leads nowhere
+COLOURED = 0.3  # of a sensor's noise: deviation of its coloured part, before the records are looked at
 
 
 @record
@@ -286,6 +287,16 @@ def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Mode
         if gained < CONVERGED:
             break
     return model
+
+
+def with_coloured_noise(model: Model, sizes: np.ndarray) -> Model:
+    """The model with a coloured part in the noise of its sensors; see Noise. Begins with what is expected of one."""
+    predictor = model.predictor
+    expected = replace(predictor.expected, coloured=COLOURED * predictor.expected.measurement)
+    fresh = 1.0 - expected.decays(predictor.plant.dt)[-1] ** 2  # share of its variance that is new in every sample
+    expected = replace(expected, coloured=np.sqrt(fresh) * expected.coloured)
+    noise = replace(predictor.noise, coloured=expected.coloured, correlation_time=expected.correlation_time)
+    return settled(replace(model, predictor=replace(predictor, expected=expected).regained(model.fit.point, noise)), sizes)
 
 
 def without(model: Model, key: str, sizes: np.ndarray) -> Model:

@@ -84,7 +84,7 @@ def label(channel: tuple[str, str]) -> str:
 
 def _channels(model: Model) -> list[tuple[str, str]]:
     predictor = model.predictor
-    return [("rate", name) for name in predictor.entries] + [
+    return [("rate", name) for name in predictor.entries if name in predictor.plant.state_names] + [
         ("sensor", name) for name, seen in zip(predictor.plant.output_names, predictor.measured, strict=True) if seen
     ]
 

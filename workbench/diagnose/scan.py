@@ -123,7 +123,7 @@ def _scan(predictor: Predictor, fit: Fit, entry: str, waves, values: np.ndarray,
     for i, wave in enumerate(waves):
         push = latent_push(predictor, fit, entry, i)
         total += np.abs(push @ wave) ** 2 / _information(predictor, entry, i, wave)
-    return Scan(tries, values, total)
+    return Scan(tries, values, np.nan_to_num(total, nan=0.0, posinf=0.0))  # where a filter loses a record, nothing shows
 
 
 def _information(predictor: Predictor, entry: str, i: int, waves: np.ndarray) -> np.ndarray:

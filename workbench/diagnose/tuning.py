@@ -10,16 +10,17 @@ import numpy as np
 from scipy.optimize import minimize
 
 from workbench.diagnose.kalman import Linearization, likelihood
-from workbench.diagnose.predictor import Noise, Predictor, with_decay
+from workbench.diagnose.predictor import Noise, Predictor, with_decays
 
 READING = 2.0 * np.log(3.0)  # width for the variance of a measurement, which the data sheet or the records state
 PUSHING = 2.0 * np.log(30.0)  # the same of what pushes the states
-LASTING = np.log(5.0)  # the same of the coloured part's time constant
+LASTING = np.log(5.0)  # the same of a coloured part's time constant
 FLOOR = 0.03
 LEAST = 1e-4  # of the variance of a measurement: without any the filter has no gain
 LARGEST = np.log(1e16)  # of a variance over what is expected
 SHORTEST = 5.0  # samples: a push that fades faster is as good as white
 MEMORY = 3.0  # s, the slowest coloured torque; what is slower shall be explained
+QUICKEST, FADED = 0.5, 0.5  # samples, s: the same of the noise of a sensor, whose white part is told from the coloured one
 REACH, REACHES = np.log(100.0), 9  # how far a variance may move in one go, and how often
 ENOUGH, AGAIN = 0.05, 1.0  # of the deviance: a search ends, and is not begun again from where it ended
 
@@ -33,21 +34,20 @@ def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> N
     if predictor.simulated:
         return predictor.noise
     pieces = [_piece(predictor, i) for i in range(int(np.ceil(share * len(predictor.records))))]
-    nw, nd, dt = len(predictor.noise.process), len(predictor.noise.drift), predictor.plant.dt
-    expected = _levels(predictor.expected)
-    width = np.concatenate([np.full(nw + nd, PUSHING), np.full(len(expected) - nw - nd, READING), [LASTING]])
-    middle = np.append(np.full(len(expected), np.log(1.0 + FLOOR)), np.log(predictor.expected.memory))
-    shortest = SHORTEST * dt
-    lowest = np.log(FLOOR + np.append(np.zeros(nw + nd), np.full(len(expected) - nw - nd, LEAST)))
-    bounds = np.array([*((low, LARGEST) for low in lowest), np.log([shortest, max(MEMORY, shortest)])])
+    nw, nd, nc = (len(own) for own in (predictor.noise.process, predictor.noise.drift, predictor.noise.coloured))
+    dt, expected = predictor.plant.dt, _levels(predictor.expected)
+    is_push = np.append(np.arange(len(expected)) < nw + nd + nc, [True, True])  # or the time constant of one
+    width = np.append(np.where(is_push[:-2], PUSHING, READING), [LASTING, LASTING])
+    middle = np.append(np.full(len(expected), np.log(1.0 + FLOOR)), _times(predictor.expected))
+    lowest = np.log(FLOOR + np.where(is_push[:-2], 0.0, LEAST))
+    times = [(shortest, max(longest, shortest)) for shortest, longest in ((SHORTEST * dt, MEMORY), (QUICKEST * dt, FADED))]
+    bounds = np.array([*((low, LARGEST) for low in lowest), *np.log(times)])
     unit = 1.0 / np.sqrt(1.0 / width**2 + sum(len(e) for _, _, e in pieces))  # a well determined level has this deviation
 
-    is_push = np.arange(len(middle)) < nw + nd
-    is_push[-1] = True
-
     def noise(z: np.ndarray) -> Noise:
-        s = expected * np.sqrt(np.maximum(np.exp(z[:-1]) - FLOOR, 0.0))
-        return Noise(s[nw + nd :], s[:nw], s[nw : nw + nd], float(np.exp(z[-1])))
+        s = expected * np.sqrt(np.maximum(np.exp(z[:-2]) - FLOOR, 0.0))
+        process, drift, coloured, measurement = np.split(s, np.cumsum([nw, nd, nc]))
+        return Noise(measurement, process, drift, float(np.exp(z[-2])), coloured, float(np.exp(z[-1])))
 
     known: dict[bytes, tuple[float, np.ndarray]] = {}  # a search begins where the last one ended
 
@@ -59,15 +59,16 @@ def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> N
 
     def computed(z: np.ndarray) -> tuple[float, np.ndarray]:
         levels, total, slope = noise(z), 0.0, np.zeros(len(z))
-        a = levels.decay(dt)
+        a = levels.decays(dt)
         for line, gain, e in pieces:
-            found = likelihood(with_decay(line, nd, a), levels.pushes, levels.measurement, gain, e, nd)
+            found = likelihood(with_decays(line, a), levels.pushes, levels.measurement, gain, e, nd + nc)
+            by_time = found.decay * a
             total += found.deviance
-            slope += np.concatenate([found.process, found.measurement, [found.decay]])
+            slope += np.concatenate([found.process, found.measurement, [by_time[:nd].sum(), by_time[nd:].sum()]])
         if not np.isfinite(total) or not np.isfinite(slope).all():
             return 1e300, np.zeros(len(z))
         off = (z - middle) / width
-        slope *= np.append(expected**2 * np.exp(z[:-1]), a * dt / levels.memory)
+        slope *= np.append(expected**2 * np.exp(z[:-2]), [dt / levels.memory, dt / levels.correlation_time])
         return float(total + off @ off), (slope + 2.0 * off / width) * unit
 
     def searched(start: np.ndarray) -> tuple[float, np.ndarray]:
@@ -84,10 +85,15 @@ def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> N
                 break
         return cost(x)[0], x
 
-    at = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), np.log(predictor.noise.memory))
+    at = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), _times(predictor.noise))
     # from small pushes that fade fast nothing leads to larger ones that last; and levels that a wrong trajectory has driven up
     # may not come down again on their own
     starts = [at] if again else [np.where(is_push, np.maximum(at, middle), at), middle]
+    if nc and not again:  # pushes that have stood for what lasts in the readings do not give way to it: as loud as the white part
+        white, readings = slice(nw + nd + nc, len(expected)), slice(nw + nd, nw + nd + nc)
+        loud = middle.copy()
+        loud[readings] = at[white] + 2.0 * np.log(expected[white] / expected[readings])
+        starts.append(loud)
     return noise(min(map(searched, starts), key=lambda found: found[0])[1] * unit)
 
 
@@ -95,18 +101,22 @@ def _levels(noise: Noise) -> np.ndarray:
     return np.concatenate([noise.pushes, noise.measurement])
 
 
+def _times(noise: Noise) -> np.ndarray:
+    return np.log([noise.memory, noise.correlation_time])
+
+
 def _piece(predictor: Predictor, i: int) -> tuple[Linearization, np.ndarray, np.ndarray]:
     """Linearization, gain and innovations of record i, without the states that no reading depends on (angles, mostly)."""
-    at, line, nd = predictor.point, predictor.lines[i], len(predictor.noise.drift)
+    at, line, coloured = predictor.point, predictor.lines[i], len(predictor.noise.drift) + len(predictor.noise.coloured)
     e = predictor.errors(i, at.p[None], at.eta[i][None], at.start[i][None], white=False, drift=False)[0]
     gain = predictor.passes[i].gain.copy()
-    gain[:, gain.shape[1] - nd :] = 0.0
+    gain[:, gain.shape[1] - coloured :] = 0.0
     n = line.F.shape[1]
     moves = (line.F != 0.0).any(axis=0)
     felt = (line.H != 0.0).any(axis=(0, 1))
     while (more := felt | (moves & felt[:, None]).any(axis=0)).sum() > felt.sum():
         felt = more
-    kept = np.flatnonzero(felt | (np.arange(n) >= n - nd))
+    kept = np.flatnonzero(felt | (np.arange(n) >= n - coloured))
     F, G, H, gain = (
         np.ascontiguousarray(a) for a in (line.F[:, kept][:, :, kept], line.G[:, kept], line.H[:, :, kept], gain[:, kept])
     )

@@ -189,6 +189,9 @@ def run(
 '''
 _READ = """        for l in range(LANES):
 {read}
+        for i in range({ny} if len(decay) > 0 else 0):
+            for l in range(LANES):
+                W[({y} + i) * LANES + l] += W[({coloured} + i) * LANES + l]
 """
 _CONTROL = """        if k % every == 0:
             for l in range(LANES):
@@ -255,6 +258,9 @@ _INTEGRATE = (
             for i in range({nu}):
                 for l in range(LANES):
                     W[({w} + i) * LANES + l] = acting[first + k - back[s, i, l], i, l]
+            for i in range({nu} if len(decay) > 0 else 0):
+                for l in range(LANES):
+                    W[({w} + i) * LANES + l] += W[({surge} + i) * LANES + l]
             for l in range(LANES):
                 W[{h} * LANES + l] = step[s, l]
             # classic Runge-Kutta of order four; `stage` is where the derivative is taken
@@ -282,7 +288,7 @@ _INTEGRATE = (
                     elementary.copy_row(W, {before} + i, W, {after} + i, LANES)
 """
 )
-_FADE = """        for i in range(len(decay)):
+_FADE = """        for i in range(len(decay)):  # of drifts, surges, coloured readings: their rows follow each other
             for l in range(LANES):
                 W[({drift} + i) * LANES + l] *= decay[i]
 """

@@ -53,9 +53,9 @@ class Steering:
     observed (N, ny), gain (N, m, ny) and corrected (m): after every sample these entries of the full state, all by default, are
     corrected by gain (observed - predicted), for all runs alike; NaN in `observed` corrects nothing. restart (N, n, R): every
     sample starts from the state given here instead of the one arrived at; where it is NaN the run goes on. push (N, nx, R): is
-    added to the states' rates of change, constant over each sample. decay (nx): rates of change that the filter estimates
-    beside the full state, constant over a sample and faded by this factor from one to the next; they count as further entries
-    of it, at its end. None is none of it.
+    added to the states' rates of change, constant over each sample. decay (nx + nu + ny): what the filter estimates beside the
+    full state, added to rates of change, to inputs and to readings, constant over a sample and faded by this factor from one to
+    the next; they count as further entries of it, at its end. None is none of it.
     full: return the full states too.
     """
 
@@ -90,7 +90,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     all_states = nx + na + len(plant.inner)
     sizes = {
         "x": all_states, "stage": all_states, "sum": all_states, "slope": all_states, "mem": len(plant.memories), "drift": nx,
-        "before": ny,
+        "surge": nu, "coloured": ny, "before": ny,
         "after": ny, "y": ny, "error": ny, "u": nu, "v": nu, "w": nu, "r": len(controller.references),
         "c": len(controller.init()), "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1,
         "h": 1, "gaps": len(plant.gaps), "last": len(plant.swinging), "rate": len(plant.swinging),
@@ -288,7 +288,8 @@ class _Block:
         restart, push = (by_lane if given is None else np.take(given, pick, axis=2) for given in (steer.restart, steer.push))
         observed = shared if steer.observed is None else np.ascontiguousarray(steer.observed)
         gain = by_lane if steer.gain is None else np.ascontiguousarray(steer.gain)
-        places = np.concatenate([np.arange(rows[name], rows[name] + rows.size[name]) for name in ("x", "mem", "drift")])
+        estimated = ("x", "mem", "drift", "surge", "coloured")
+        places = np.concatenate([np.arange(rows[name], rows[name] + rows.size[name]) for name in estimated])
         corrected = places[: gain.shape[1]] if steer.corrected is None else places[steer.corrected]
         decay = np.empty(0) if steer.decay is None else np.ascontiguousarray(steer.decay)
         remembered = np.empty((N if steer.full else 0, len(plant.memories), L))

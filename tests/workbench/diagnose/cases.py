@@ -72,16 +72,20 @@ def axis_matrices(dt=AXIS.dt, M=95.0, Fv=200.0):
     return flow[:2, :2], flow[:2, 2]
 
 
-def axis_by_hand(force, seed, *, extra=None, sensor=0.0, M=95.0, Fv=200.0) -> Experiment:
+def axis_by_hand(
+    force, seed, *, extra=None, sensor=0.0, M=95.0, Fv=200.0, coloured=0.0, correlation_time=0.1, samples=600
+) -> Experiment:
     """A record of the axis from its matrices. force(k, y) is the command at sample k, after y was read; extra(q, v) a force that
-    no effect of the catalogue describes, held over a twentieth of a sample; sensor: what is added to the reading per newton.
+    no effect of the catalogue describes, held over a twentieth of a sample; sensor: what is added to the reading per newton;
+    coloured: deviation [m] of noise of the reading with that correlation time [s].
     """
     pieces = 20 if extra else 1
     A, B = axis_matrices(AXIS.dt / pieces, M, Fv)
-    random, samples = np.random.default_rng(seed), 600
-    x, rows = np.zeros(2), []
+    random, lasting = np.random.default_rng(seed), np.random.default_rng(seed + 10**6)
+    x, rows, c, a = np.zeros(2), [], coloured * lasting.standard_normal(), np.exp(-AXIS.dt / correlation_time)
     for k in range(samples):
-        y = x[0] + READING * random.standard_normal()
+        y = x[0] + READING * random.standard_normal() + c
+        c = a * c + coloured * np.sqrt(1.0 - a**2) * lasting.standard_normal()
         F = force(k, y)
         d = PUSH * random.standard_normal()
         rows.append((F, y + sensor * F))

@@ -217,24 +217,28 @@ def test_a_cause_is_not_sure_where_parameters_have_left_their_data_sheet(toleran
 
 
 @pytest.mark.parametrize(
-    ("stable", "beyond", "worse", "harm", "said"),
+    ("stable", "beyond", "worse", "harm", "left", "said"),
     [
-        (0.5, False, False, "", ""),
-        (1e-5, False, False, "", "size"),
-        (0.5, True, False, "", "data sheet"),
-        (0.5, False, True, "", "plant that came"),
-        (0.5, False, False, "h one-second: 1 before, 2 after [m]", "raises an error"),
+        (0.5, False, False, "", 0.0, ""),
+        (1e-5, False, False, "", 0.0, "size"),
+        (0.5, True, False, "", 0.0, "data sheet"),
+        (0.5, False, True, "", 0.0, "plant that came"),
+        (0.5, False, False, "h one-second: 1 before, 2 after [m]", 0.0, "raises an error"),
+        (0.5, False, False, "", 39.0, ""),
+        (0.5, False, False, "", 56.0, "14 % of what it explains"),
     ],
 )
-def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, beyond, worse, harm, said):
-    doubt = diagnosis._doubt(SimpleNamespace(stable=stable), beyond, worse, harm)
+def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, beyond, worse, harm, left, said):
+    doubt = diagnosis._doubt(SimpleNamespace(stable=stable, gain=400.0), beyond, worse, harm, left)
     assert said in doubt
     assert bool(doubt) is bool(said)
 
 
 def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
     steps = [SimpleNamespace(key=key, gain=gain, stable=0.5) for key, gain in (("a@x", 40.0), ("b@x", 700.0), ("c@x", 900.0))]
-    doubts = diagnosis._doubts(steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""}, False)
+    doubts = diagnosis._doubts(
+        steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""}, False, 0.0
+    )
     assert doubts["c@x"] == ""  # it was there before
     assert doubts["b@x"].startswith("it raises an error")
     assert doubts["a@x"] == "it was found beside b@x, which is not sure"
@@ -247,7 +251,7 @@ def test_causes_that_explain_next_to_nothing_one_by_one_are_not_sure(gains, only
         SimpleNamespace(key=f"{i}@x", gain=gain, stable=0.5, after=SimpleNamespace(bic=800.0)) for i, gain in enumerate(gains)
     ]
     assert diagnosis._only_together(SimpleNamespace(bic=1000.0), steps) is only
-    doubts = diagnosis._doubts(steps, False, False, {s.key: "" for s in steps}, only)
+    doubts = diagnosis._doubts(steps, False, False, {s.key: "" for s in steps}, only, 0.0)
     assert all(bool(doubt) is only for doubt in doubts.values())
 
 
@@ -285,6 +289,24 @@ def test_an_odd_record_counts_by_its_share_of_what_the_causes_explain(gain, find
     local = diagnosis.Local("sensor-gain@y", gain, ("binary 2",))
     found = diagnosis._Found(model, (step,), (SimpleNamespace(p_family=1.0, statistic=0.1),), (), None, np.inf, local)
     assert found.finding is finding
+
+
+@pytest.mark.parametrize(
+    ("gain", "why", "named", "finding"),
+    [
+        (30.0, diagnosis.NONE, True, Finding.NAMED),
+        (60.0, diagnosis.NONE, True, Finding.INCOMPLETE),
+        (60.0, diagnosis.TRIFLE, True, Finding.NAMED),
+        (60.0, diagnosis.NONE, False, Finding.UNKNOWN),
+        (60.0, diagnosis.TRIFLE, False, Finding.UNKNOWN),  # what is the only one is never asked for a share
+    ],
+)
+def test_what_the_referee_refuses_takes_nothing_from_a_name_where_it_does_not_matter(gain, why, named, finding):
+    model = SimpleNamespace(predictor=SimpleNamespace(samples=1000))
+    steps = (SimpleNamespace(gain=1000.0, stable=0.5, after=model),) if named else ()
+    left = (SimpleNamespace(p_family=1.0, statistic=0.1),)
+    refused = (diagnosis.Refused("sensor-resonance@y", why, gain),)
+    assert diagnosis._Found(model, steps, left, (), None, np.inf, refused=refused).finding is finding
 
 
 @pytest.mark.parametrize(("statistic", "p", "told"), [(40.0, 1e-6, True), (40.0, 1e-3, False), (0.3, 1e-6, False)])

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from tests.workbench.diagnose.cases import (
     AXIS,
+    READING,
     axis_by_hand,
     axis_matrices,
     axis_predictor,
@@ -43,6 +44,31 @@ def test_f_g_h_of_the_axis_are_those_of_the_matrix_exponential_and_a_coloured_pu
     np.testing.assert_allclose(line.F[50], F, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(line.G[50], np.block([[push, still], [0.0, 1.0]]), rtol=1e-5)
     np.testing.assert_allclose(line.H[50], [[1.0, 0.0, 0.0, 0.0]], atol=1e-9)
+
+
+def test_errors_are_those_of_the_filter_that_carries_coloured_pushes_and_coloured_readings():
+    """x+ = F (x + K e) + B u, e = y - H x, written out with the matrices of the axis."""
+    made = axis_predictor(axis_records(7))
+    levels = replace(noise(), drift=np.array([0.05]), memory=0.5, coloured=np.array([2e-4]), correlation_time=0.1)
+    made = made.regained(made.point, levels)
+    line, r, gain = made.lines[0], made.records[0], made.passes[0].gain
+    decay = np.exp(-AXIS.dt / 0.1)
+    np.testing.assert_allclose(line.H[50], [[1.0, 0.0, 0.0, 0.0, 1.0]], atol=1e-9)
+    np.testing.assert_allclose(line.F[50][4], [0.0, 0.0, 0.0, 0.0, decay])
+    np.testing.assert_allclose(line.F[50][:, 4], [0.0, 0.0, 0.0, 0.0, decay])
+    np.testing.assert_allclose(line.G[50][4], [0.0, 0.0, 1.0])
+    x, drive, e = np.zeros(5), np.zeros(5), np.zeros(len(r))
+    x[: len(r.start)] = r.start
+    drive[:2] = axis_matrices()[1]
+    drive[2] = expm(AXIS.dt * axis_rates())[2, 4] / M
+    for k, y in enumerate(r.seen[:, 0]):
+        e[k] = 0.0 if np.isnan(y) else y - line.H[k, 0] @ x
+        x = line.F[k] @ (x + gain[k, :, 0] * e[k]) + drive * r.u[k, 0]
+    at = made.point
+    errors = made.errors(0, at.p[None], at.eta[:1], at.start[:1], white=False)[0]
+    np.testing.assert_allclose(errors[:, 0], e, rtol=1e-5, atol=1e-9)
+    held = made.errors(0, at.p[None], at.eta[:1], at.start[:1], white=False, drift=False)[0]
+    assert np.abs(held - errors).max() > READING  # without what is coloured it is another filter
 
 
 def test_a_sensor_with_a_lag_is_read_by_its_memory_and_the_filter_carries_it():

@@ -7,6 +7,7 @@ import pytest
 
 from tests.workbench.diagnose.cases import AXIS, READING, ROBOT, axis_by_hand, axis_records, fitted, robot_records, screened
 from workbench.data import Dataset
+from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import ALPHA, WORTH, diagnose
 from workbench.diagnose.fit import gauss_newton, term
 from workbench.diagnose.lags import timed
@@ -77,6 +78,31 @@ def test_trap_2_what_the_controller_made_of_a_reading_does_not_explain_that_read
             statistic[name] = float(b @ np.linalg.pinv(S, rcond=1e-9) @ b)
         assert statistic["past"] < 25.0  # six degrees of freedom
         assert statistic["same"] > 100.0
+
+
+def follower(seed, coloured, *, extra=None):
+    """A loop that follows steps of its set-point by a reading whose noise lasts."""
+    levels = 0.1 * np.random.default_rng([seed, 1]).standard_normal(31)
+    return axis_by_hand(lambda k, y: 4e3 * (levels[k // 50] - y), seed, extra=extra, coloured=coloured, samples=1500)
+
+
+@pytest.mark.parametrize("loud", [3.0, 10.0])
+def test_trap_2_noise_that_lasts_is_not_explained_by_what_the_controller_made_of_it(loud):
+    """What a sensor's noise was a sample ago is in the command: a filter of white noise called all such records UNKNOWN."""
+    for seed in (800, 810):
+        data = [Dataset(tuple(follower(s, loud * READING) for s in own)) for own in ((seed, seed + 1), (seed + 2,))]
+        assert diagnose(AXIS, *data).finding is Finding.NOTHING
+
+
+def test_trap_2_a_cause_is_found_beside_noise_that_lasts():
+    def friction(q, v):
+        return -30.0 * np.tanh(v / 1e-3)
+
+    data = [Dataset(tuple(follower(s, 6.0 * READING, extra=friction) for s in own)) for own in ((830, 831), (832,))]
+    found = diagnose(AXIS, *data)
+    (cause,) = found.causes
+    assert (found.finding, cause.key, cause.doubt) == (Finding.NAMED, "coulomb@slide", "")
+    assert cause.parameters["level"].value == pytest.approx(30.0, rel=0.1)
 
 
 def test_trap_3_the_model_without_the_effect_is_as_converged_as_the_one_with_it():

@@ -74,6 +74,23 @@ def test_a_push_that_lasts_is_told_from_a_white_one(level, memory):
     assert deviance_at(made, noise()) > deviance_at(made, levels) + 100.0  # a white push does not explain it
 
 
+@pytest.mark.parametrize("loud", [2.0, 6.0])
+def test_noise_of_a_sensor_that_lasts_is_told_from_white_noise_and_from_a_push(loud):
+    found, a = [], np.exp(-AXIS.dt / 0.15)
+    for seed in range(4):
+        record = axis_by_hand(lambda k, y: 0.0, 300 + seed, coloured=loud * READING, correlation_time=0.15, samples=1500)
+        made = axis_predictor(Dataset((record,)))
+        white = replace(tuned(made), coloured=np.zeros(1))
+        begin = replace(made.noise, coloured=np.array([0.1 * READING]), correlation_time=0.05)
+        made = replace(made, expected=begin).regained(made.point, begin)
+        levels = tuned(made)
+        truth = replace(noise(), coloured=np.array([loud * READING * np.sqrt(1.0 - a**2)]), correlation_time=0.15)
+        assert deviance_at(made, levels) < deviance_at(made, truth) + 3.0
+        assert deviance_at(made, levels) < deviance_at(made, white) - 40.0
+        found.append([levels.measurement[0] / READING, levels.process[0] / (PUSH / M)])
+    assert np.abs(np.mean(np.log(found), axis=0)) == pytest.approx(0.0, abs=0.15)
+
+
 def test_begun_again_from_levels_that_were_found_it_ends_where_it_ended():
     slow = np.cumsum(np.random.default_rng(3).standard_normal(1500)) * 0.3
     made = axis_predictor(axis_records(50, samples=1500, unlogged=slow, records=1))
