@@ -50,8 +50,9 @@ class Reference:
 class Machine:
     """A folder of records, split, the plant of studies.real_plants that is diagnosed on them, and its label.
 
-    lacks: what the plain model lacks, as the label says. right: names "effect@place" that agree with it. sizes: numbers that are
-    known from elsewhere, {"effect@place:number": value}.
+    lacks: what the plain model lacks, as the label says. right: names "effect@place" that agree with it. shown: names that no
+    label holds but the readings show without any model (one channel against another): allowed beside, never asked for. sizes:
+    numbers that are known from elsewhere, {"effect@place:number": value}.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Machine:
     held_out: tuple[str, ...]
     lacks: str
     right: tuple[str, ...] = ()
+    shown: tuple[str, ...] = ()
     sizes: Mapping[str, float] = field(default_factory=dict)
     references: tuple[Reference, ...] = ()
 
@@ -81,11 +83,11 @@ class Summary:
 
 def labelled(row: Row, machine: Machine) -> Row:
     """The row with its label where the scores of hidden effects look for what was hidden."""
-    return {**row, "truth": [{"key": key} for key in machine.right]}
+    return {**row, "truth": [{"key": key} for key in (*machine.right, *machine.shown)]}
 
 
 def against(row: Row, machine: Machine) -> list[str]:
-    """Causes that the label does not hold."""
+    """Causes that neither the label holds nor the readings show."""
     return strangers(labelled(row, machine)) if "verdict" in row else []
 
 

@@ -1,10 +1,12 @@
 """The study of measured machines: its plants against their equations, its scores by rows made by hand, one machine shortened."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from studies import STUDIES, real_plants, real_records
 from studies.cli import main
@@ -81,7 +83,7 @@ def test_the_plain_models_are_linear_in_states_and_inputs():
 
 # ---- scores -----------------------------------------------------------------------------------------------------------------
 
-ARM = Machine("arm", "ARM", ("a.csv",), ("b.csv",), "friction", ("coulomb@arm", "stribeck@arm"), {"coulomb@arm:level": 2.0})
+ARM = Machine("arm", "ARM", ("a.csv",), ("b.csv",), "friction", ("coulomb@arm", "stribeck@arm"), sizes={"coulomb@arm:level": 2.0})
 SPRING = Machine("spring", "SPRING", ("a.csv",), ("b.csv",), "a cube")
 BOTH = {"arm": ARM, "spring": SPRING}
 
@@ -174,6 +176,44 @@ def test_a_resolution_is_read_off_readings_that_repeat_a_step():
     coarse, fine = 0.25 * np.round(np.sin(t) / 0.25), np.cos(3.1 * t)
     e = Experiment.from_arrays("r", 0.005, inputs={"U": t}, outputs={"q": coarse, "v": fine})
     assert resolutions(Dataset((e,)), plant) == pytest.approx({"q": 0.25})
+
+
+@measured
+def test_the_servo_s_own_readings_show_that_its_speed_is_late_and_larger():
+    """v against the difference of q, behind a first-order lag, without any model: what MACHINES holds as shown."""
+    own = MACHINES["bam_xl330"]
+    assert "sensor-lag@v" in own.shown
+    assert not set(own.shown) & set(own.right)
+    found = []
+    for file in (*own.records, *own.held_out):
+        e = read(DATA / own.name / file)
+        rate, v = np.gradient(e["q"], e.dt), e["v"]
+
+        def left(time, rate=rate, v=v, dt=e.dt):
+            decay = np.exp(-dt / time) if time else 0.0
+            late = lfilter([1.0 - decay], [1.0, -decay], rate)
+            regressors = np.column_stack([late, np.ones_like(v)])
+            numbers = np.linalg.lstsq(regressors, v)[0]
+            return np.std(v - regressors @ numbers), numbers[0]
+
+        times = np.arange(0.0, 0.06, 0.002)
+        best = min(times, key=lambda time: left(time)[0])
+        assert left(best)[0] < 0.4 * left(0.0)[0]
+        found.append((best, left(best)[1]))
+    late, gain = np.median(found, axis=0)
+    assert 0.018 < late < 0.028
+    assert 1.005 < gain < 1.02
+
+
+def test_what_the_readings_show_is_allowed_beside_and_never_asked_for():
+    seen, late = replace(ARM, shown=("sensor-lag@v",)), cause("sensor-lag@v")
+    alone = row(causes=[late])
+    both = row(causes=[late, cause("coulomb@arm")])
+    assert ending(alone, ARM) is Ending.WRONG
+    assert ending(alone, seen) is not Ending.RIGHT
+    assert not against(alone, seen)
+    assert ending(both, seen) is Ending.RIGHT
+    assert agreeing(both, seen) == ["coulomb@arm"]
 
 
 # ---- the study --------------------------------------------------------------------------------------------------------------
