@@ -21,7 +21,7 @@ UNSURE = (
     "INCOMPLETE: what the simulation of {plant} lacks is explained in part; {sure}. Mend nothing for the sake of what is not "
     "sure, and look at what is left."
 )
-#: The headline of what is named, where rivals explain it as well.
+#: The headline of what is named, where rivals or a law in the plant's own equations explain it as well.
 TIED = (
     "NAMED, with a tie: what the simulation of {plant} lacks has a size, and more than one name that these records cannot tell "
     "apart; go on with the extended plant, and tell the causes apart before mending the machine."
@@ -52,7 +52,7 @@ def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = (
 
 def _headline(found: Diagnosis) -> str:
     """What was found, and whether it is sure."""
-    if found.finding is Finding.NAMED and any(cause.ties for cause in found.causes):
+    if found.finding is Finding.NAMED and any(cause.ties or cause.doubt for cause in found.causes):
         return TIED.format(plant=found.plant)
     if any(cause.doubt for cause in found.causes):
         sure = [cause.key for cause in found.causes if not cause.doubt and cause.effect != ROUNDED]
@@ -131,8 +131,8 @@ def next_step(found: Diagnosis) -> str:
     if found.next_experiment:
         return f"What to measure next: {ended(found.next_experiment.sentence)}"
     for cause in found.causes:
-        if cause.ties:
-            rivals = ", ".join(cause.ties)
+        if cause.ties or (cause.doubt and found.finding is Finding.NAMED):
+            rivals = ", ".join(cause.ties) or "the plant's own equation"
             return f"No experiment was found that would tell {cause.key} from {rivals}; what would: {cause.separates}"
     if found.finding is Finding.NAMED:
         return "No further experiment is proposed: no other effect explains these records as well."

@@ -15,7 +15,7 @@ ROUNDED = "quantisation"  # the effect whose cause is the step of the readings: 
 class Finding(Enum):
     """The verdict in one word."""
 
-    NAMED = "named"  # what is missing has a name
+    NAMED = "named"  # what is missing has a name, or one that a law in the plant's own equations ties with
     NOTHING = "nothing"  # nothing is missing that these data can show
     UNKNOWN = "unknown"  # something is missing and no entry of the catalogue explains it
     INCOMPLETE = "incomplete"  # causes are named, not all of them sure, or a significant remainder is left

@@ -24,6 +24,7 @@ from workbench.diagnose.answer import (
 )
 from workbench.diagnose.check import check
 from workbench.diagnose.confirm import folds, left_out, stability
+from workbench.diagnose.equations import Law, instead
 from workbench.diagnose.experiments import Template, deciding
 from workbench.diagnose.fit import gauss_newton
 from workbench.diagnose.free_run import filtered, simulated
@@ -163,10 +164,15 @@ def diagnose(
     harm = {s.key: _harm(judge, s) for s in steps}
     model = model.sharpened()
     only_together = only_together and len(steps) > 1
-    if finding is Finding.NAMED and steps and (beyond or objections or only_together or any(harm.values())):
+    laws = {s.key: law for s in steps if (law := _instead(s, model))}
+    better = {key: str(law) for key, law in laws.items() if law.gap < -TIE}
+    if finding is Finding.NAMED and steps and (beyond or objections or only_together or better or any(harm.values())):
         finding = Finding.INCOMPLETE
     left = _strongest(found.left)
-    doubts = _doubts(steps, bool(beyond), bool(objections), harm, only_together, left) if finding is Finding.INCOMPLETE else {}
+    doubts = {}
+    if finding is Finding.INCOMPLETE:
+        doubts = _doubts(steps, bool(beyond), bool(objections), harm, only_together, left, better)
+    doubts = {key: f"{law}: these records do not tell the two apart" for key, law in laws.items()} | doubts
     causes = tuple(replace(_cause(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts.get(s.key, "")) for s in steps)
     return Diagnosis(
         plant=plant.name,
@@ -875,11 +881,17 @@ def _only_together(base: Model, steps: Sequence[Step]) -> bool:
 
 
 def _doubts(
-    steps: Sequence[Step], beyond: bool, worse_than_given: bool, harm: Mapping[str, str], only_together: bool, left: float
+    steps: Sequence[Step],
+    beyond: bool,
+    worse_than_given: bool,
+    harm: Mapping[str, str],
+    only_together: bool,
+    left: float,
+    better: Mapping[str, str],
 ) -> dict[str, str]:
-    """What speaks against each cause of an incomplete answer; what was found beside one that is not sure is not sure either.
+    """What speaks against causes of an incomplete answer; what was found beside one that is not sure is not sure either.
 
-    left: the statistic of what has no name.
+    left: the statistic of what has no name; better: laws in the plant's own equations that explain more than a cause.
     """
     if only_together:
         return {
@@ -889,9 +901,10 @@ def _doubts(
     doubts, unsure = {}, ""
     for s in sorted(steps, key=lambda s: -s.gain):
         own = _doubt(s, beyond, worse_than_given, harm[s.key], left)
+        own = own or (f"{better[s.key]}: that explains these records better" if s.key in better else "")
         doubts[s.key] = own or (f"it was found beside {unsure}, which is not sure" if unsure else "")
         unsure = unsure or (s.key if own else "")
-    return doubts
+    return {key: doubt for key, doubt in doubts.items() if doubt}
 
 
 def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: float) -> str:
@@ -907,6 +920,17 @@ def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: fl
     if left > BESIDE * step.gain:  # the errors of the model's form are as large, and what has no name may be all there is
         return f"what is left without a name is {100 * left / step.gain:.0f} % of what it explains"
     return ""
+
+
+def _instead(step: Step, model: Model) -> Law | None:
+    """The law in one of the plant's own equations that explains the records better than a cause; None where none does.
+
+    A static error of a sensor stands far from where such a law acts: there one that explains them as well is as likely.
+    """
+    effect = next(slot.effect for slot in model.predictor.plant.slots if slot.key == step.key)
+    static = effect.family == "sensor" and not effect.memories
+    law = instead(model, step.key)
+    return law if law and law.gap < (max(TIE, IDEAL * step.gain) if static else -TIE) else None
 
 
 def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:

@@ -11,7 +11,7 @@ the fitted unknowns projected out. A sensor may only be explained by what was kn
 the input of the same sample from it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.stats import gamma, gumbel_r
@@ -42,16 +42,16 @@ class Left:
 def remainder(model: Model, seed: int = 0) -> list[Left]:
     """Every pair of channel and variable with its p-values, largest evidence first."""
     predictor, fit = model.predictor, model.fit
-    trajectories = [_trajectory(model, i) for i in range(len(predictor.records))]
-    common = _variables(model, trajectories)
+    trajectories = [trajectory(model, i) for i in range(len(predictor.records))]
+    common = variables(trajectories)
     signs: np.ndarray | None = None
     logs, draws, found = [], [], []
     total = sum(float(np.sum(e**2)) for e in fit.errors)
     for channel in _channels(model):
-        variables = common | _coefficients(model, channel, trajectories, common)
-        b, S, blocks, widths = _scores(model, channel, [basis for _, basis in variables.values()])
+        pairs = common | _coefficients(model, channel, trajectories, common)
+        b, S, blocks, widths = _scores(model, channel, [basis for _, basis in pairs.values()])
         at = 0
-        for name, width in zip(variables, widths, strict=True):
+        for name, width in zip(pairs, widths, strict=True):
             part = slice(at, at + width)
             at += width
             inverse = _pinv(S[part, part])
@@ -62,7 +62,7 @@ def remainder(model: Model, seed: int = 0) -> list[Left]:
             shape, scale = gamma_of(null)
             logs.append(-gamma.logsf(value, shape, scale=scale))
             draws.append(-gamma.logsf(null, shape, scale=scale))
-            grid, curve = variables[name][0], -inverse @ b[part]
+            grid, curve = pairs[name][0], -inverse @ b[part]
             found.append((channel, name, value, grid, curve))
     largest = np.max(draws, axis=0)
     spread = max(float(largest.std()) * np.sqrt(6.0) / np.pi, 1.0)
@@ -89,7 +89,7 @@ def _channels(model: Model) -> list[tuple[str, str]]:
     ]
 
 
-def _trajectory(model: Model, i: int) -> dict[str, np.ndarray]:
+def trajectory(model: Model, i: int) -> dict[str, np.ndarray]:
     """Corrected states, angles and inputs of record i by name, (N,)."""
     predictor, plant = model.predictor, model.predictor.plant
     full = predictor.corrected(i, model.fit.point)
@@ -100,7 +100,7 @@ def _trajectory(model: Model, i: int) -> dict[str, np.ndarray]:
     return named | inputs | angles | {"time": plant.dt * np.arange(len(full))}
 
 
-def _variables(model: Model, trajectories) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
+def variables(trajectories) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
     """Name -> (grid or orders, basis (N, c) of each record)."""
     made: dict[str, tuple[np.ndarray, list[np.ndarray]]] = {}
     for name in trajectories[0]:
@@ -145,26 +145,31 @@ def _by_record(bases: list[np.ndarray]) -> list[np.ndarray]:
     return wide
 
 
+def answers(model: Model, channel: tuple[str, str], bases: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """What the whitened errors of every record (N ny, c) do where the channel holds what `bases` (N, c) hold, by record."""
+    predictor, (kind, name), made = model.predictor, channel, []
+    for line, own, basis in zip(predictor.lines, predictor.passes, bases, strict=True):
+        N, ny, n = line.H.shape
+        push, shift = np.zeros((N, n, basis.shape[1])), np.zeros((N, ny, basis.shape[1]))
+        if kind == "sensor":
+            shift[1:, predictor.plant.output_names.index(name)] = -basis[:-1]  # strictly past
+            shift[~line.present] = 0.0
+        elif name in predictor.entries:
+            push[:] = line.G[:, :, predictor.entries.index(name), None] * basis[:, None, :]
+        else:
+            push[:, predictor.plant.state_names.index(name)] = predictor.plant.dt * basis
+        white = np.einsum("kij,kjc->kic", own.whitening, response(line, own.gain, push, shift))
+        made.append(white.reshape(N * ny, -1))
+    return made
+
+
 def _scores(model: Model, channel: tuple[str, str], bases: Iterable[list[np.ndarray]]):
     """b (c), S (c, c), blocks (nb, c) of all bases of one channel, and the width of each. Angles have columns in each record."""
     predictor, fit = model.predictor, model.fit
     bases = list(bases)
     records = len(predictor.records)
     joined = [np.concatenate([basis[i] for basis in bases], axis=1) for i in range(records)]
-    responses = []
-    for i in range(records):
-        line, gain = predictor.lines[i], predictor.passes[i].gain
-        N, ny, n = line.H.shape
-        push, shift = np.zeros((N, n, joined[i].shape[1])), np.zeros((N, ny, joined[i].shape[1]))
-        if channel[0] == "rate":
-            g = line.G[:, :, predictor.entries.index(channel[1])]
-            push[:] = g[:, :, None] * joined[i][:, None, :]
-        else:
-            j = predictor.plant.output_names.index(channel[1])
-            shift[1:, j] = -joined[i][:-1]  # strictly past
-            shift[~line.present] = 0.0
-        white = np.einsum("kij,kjc->kic", predictor.passes[i].whitening, response(line, gain, push, shift))
-        responses.append(white.reshape(N * ny, -1))
+    responses = answers(model, channel, joined)
     JG = np.zeros((fit.unknowns.size, responses[0].shape[1]))
     for i, J in enumerate(fit.jacobian):
         JG[fit.unknowns.columns(i)] += J.T @ responses[i]

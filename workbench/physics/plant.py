@@ -501,6 +501,12 @@ class Plant:
         read = [J[j, :].nnz() == 1 and J[j, :].is_constant() and len(ca.symvar(y[j])) == 1 for j in range(len(self.outputs))]
         return frozenset(name for name, plain in zip(self.output_names, read, strict=True) if not plain)
 
+    @cached_property
+    def laws(self) -> tuple[str, ...]:
+        """States whose rate of change holds a parameter: the others' says what the state means, as a speed is an angle's rate."""
+        p, rates = self.symbols["p"], column(self._traced_rates(None)[: len(self.states)])
+        return tuple(name for name, row in zip(self.state_names, ca.vertsplit(rates), strict=True) if ca.depends_on(row, p))
+
     def _traced_rates(self, opened: "_Opened | None") -> list:
         s = {name: entries(symbol) for name, symbol in self.symbols.items()}
         try:

@@ -234,12 +234,19 @@ def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, bey
     assert bool(doubt) is bool(said)
 
 
+def test_a_law_that_explains_more_than_a_cause_speaks_against_it_and_what_was_found_beside_it():
+    steps = [SimpleNamespace(key=key, gain=gain, stable=0.5) for key, gain in (("a@x", 40.0), ("b@x", 700.0))]
+    doubts = diagnosis._doubts(steps, False, False, {"a@x": "", "b@x": ""}, False, 0.0, {"b@x": "the plant's own equation"})
+    assert doubts["b@x"] == "the plant's own equation: that explains these records better"
+    assert doubts["a@x"] == "it was found beside b@x, which is not sure"
+
+
 def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
     steps = [SimpleNamespace(key=key, gain=gain, stable=0.5) for key, gain in (("a@x", 40.0), ("b@x", 700.0), ("c@x", 900.0))]
     doubts = diagnosis._doubts(
-        steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""}, False, 0.0
+        steps, False, False, {"a@x": "", "b@x": "y one-step: 1 before, 2 after [m]", "c@x": ""}, False, 0.0, {}
     )
-    assert doubts["c@x"] == ""  # it was there before
+    assert "c@x" not in doubts  # it was there before
     assert doubts["b@x"].startswith("it raises an error")
     assert doubts["a@x"] == "it was found beside b@x, which is not sure"
 
@@ -251,8 +258,8 @@ def test_causes_that_explain_next_to_nothing_one_by_one_are_not_sure(gains, only
         SimpleNamespace(key=f"{i}@x", gain=gain, stable=0.5, after=SimpleNamespace(bic=800.0)) for i, gain in enumerate(gains)
     ]
     assert diagnosis._only_together(SimpleNamespace(bic=1000.0), steps) is only
-    doubts = diagnosis._doubts(steps, False, False, {s.key: "" for s in steps}, only, 0.0)
-    assert all(bool(doubt) is only for doubt in doubts.values())
+    doubts = diagnosis._doubts(steps, False, False, {s.key: "" for s in steps}, only, 0.0, {})
+    assert list(doubts) == [s.key for s in steps if only]
 
 
 @pytest.mark.parametrize(

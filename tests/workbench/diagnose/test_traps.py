@@ -14,7 +14,7 @@ from workbench.diagnose.lags import timed
 from workbench.diagnose.predictor import Predictor, predictor
 from workbench.diagnose.recalibrate import recalibrated, unknowns
 from workbench.diagnose.refit import Model, from_special, refit, settled
-from workbench.diagnose.remainder import BUMPS, _scores, _trajectory, remainder
+from workbench.diagnose.remainder import BUMPS, _scores, remainder, trajectory
 from workbench.diagnose.screen import Signature, Variant, scores, small_sizes
 
 
@@ -68,7 +68,7 @@ def test_trap_2_what_the_controller_made_of_a_reading_does_not_explain_that_read
     for seed in range(4):
         model = closed_loop(400 + seed)
         assert min(x.p_family for x in remainder(model)) > 1e-3
-        F = _trajectory(model, 0)["F"]
+        F = trajectory(model, 0)["F"]
         centres = np.linspace(*np.quantile(F, [0.01, 0.99]), BUMPS)
         basis = np.exp(-0.5 * ((F[:, None] - centres) / (centres[1] - centres[0])) ** 2)
         early = np.concatenate([basis[1:], basis[-1:]])  # the rule shifts it back: the same sample after all

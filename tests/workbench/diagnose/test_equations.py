@@ -1,0 +1,100 @@
+"""A law that the plant's own equation lacks, against a static error of a sensor: told apart where the records can, and said to be
+possible where they cannot. The vessel is written a second time, and runs on Runge and Kutta's steps.
+"""
+
+import numpy as np
+import pytest
+
+from tests.workbench.diagnose.cases import AXIS, axis_records, fitted, refitted
+from tests.workbench.diagnose.test_pushes import ROD
+from workbench import Parameter, Plant
+from workbench.data import Channel, Dataset, Experiment
+from workbench.diagnose.answer import Finding
+from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnose.equations import instead
+from workbench.diagnose.remainder import answers, trajectory, variables
+
+DT, AREA, DRAIN, FEED, READING = 0.5, 2.0, 0.05, 0.08, 4e-3
+
+VESSEL = Plant(
+    name="vessel",
+    states=(Channel("h", "m"),),
+    inputs=(Channel("u", "%", "input"),),
+    outputs=(Channel("level", "m", "output"),),
+    parameters=(
+        Parameter("A", AREA, "m^2", tolerance=0.05),
+        Parameter("k", FEED, "m^3/s", tolerance=0.1),
+        Parameter("z", DRAIN, "m^2/s", tolerance=0.2),
+    ),
+    equation=lambda x, u, p, at: {"h": (p.k * u.u - p.z * x.h) / p.A},
+    measure=lambda x, p: {"level": x.h},
+    dt=DT,
+    noise={"level": READING},
+)
+
+
+def record(seed: int, hold: float, *, fouled=0.0, bent=0.0, samples=1500) -> Experiment:
+    """Levels of the feed that last `hold` seconds each; fouled: the drain's share per metre; bent: curvature of the reading."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.uniform(0.1, 1.0, samples), round(hold / DT))[:samples]
+
+    def rate(h, feed):
+        return (FEED * feed - DRAIN * h * (1.0 + fouled * h)) / AREA
+
+    h, level = 0.8, []
+    for feed in u:
+        level.append(h + bent * h**2 + READING * random.standard_normal())
+        k1 = rate(h, feed)
+        k2 = rate(h + 0.5 * DT * k1, feed)
+        k3 = rate(h + 0.5 * DT * k2, feed)
+        h += DT / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rate(h + DT * k3, feed)) + 1e-4 * random.standard_normal()
+    channels = (Channel("u", "%", "input"), Channel("level", "m", "output"))
+    return Experiment(f"vessel {seed}", DT * np.arange(samples), channels, np.column_stack([u, level]), DT)
+
+
+def found(first: int, hold: float, **missing):
+    records = [record(first + j, hold, **missing) for j in range(5)]
+    return diagnose(VESSEL, Dataset(tuple(records[:3])), Dataset(tuple(records[3:])))
+
+
+def test_a_rate_without_parameters_says_what_its_state_means():
+    assert AXIS.laws == ("v",)
+    assert ROD.laws == ("v", "w")
+    assert VESSEL.laws == ("h",)
+
+
+@pytest.mark.parametrize("first", [10, 20, 30])
+def test_a_drain_that_fouls_is_never_surely_an_error_of_a_sensor(first):
+    said = found(first, 150.0, fouled=0.25)
+    assert not [c.key for c in said.causes if not c.doubt]
+    if said.finding is Finding.NAMED:
+        assert all("own equation of h" in c.doubt for c in said.causes)
+
+
+@pytest.mark.parametrize("first", [10, 20, 30])
+def test_a_bent_reading_is_sure_where_the_machine_moves_fast_enough_to_tell(first):
+    said = found(first, 10.0, bent=0.06)
+    assert [(c.key, c.doubt) for c in said.causes] == [("sensor-nonlinearity@level", "")]
+
+
+def test_the_gap_is_that_of_a_least_squares_fit_with_every_column_written_out():
+    key = "sensor-nonlinearity@q"
+    model = refitted(fitted(axis_records(2, {key: {"curvature": 0.05}}, samples=600)), key, [0.05])
+    fit, predictor = model.fit, model.predictor
+    law = instead(model, key)
+    assert law is not None
+    others = list(range(fit.unknowns.size - 1))
+    bases = variables([trajectory(model, i) for i in range(2)])[law.variable][1]
+    R = answers(model, ("rate", law.state), bases)
+    slot = [s.key for s in AXIS.slots].index(key)
+    rows, right = [np.hstack([np.eye(len(others)), np.zeros((len(others), 6))])], [fit.z[others]]
+    for i, J in enumerate(fit.jacobian):
+        wide = np.zeros((len(J), fit.unknowns.size))
+        wide[:, fit.unknowns.columns(i)] = J
+        rows.append(np.hstack([wide[:, others], R[i]]))
+        eta = fit.point.eta[i].copy()
+        eta[slot] = 0.0
+        right.append(predictor.errors(i, fit.point.p[None], eta[None], fit.point.start[i][None])[0].ravel())
+    A, b = np.vstack(rows), np.concatenate(right)
+    left = b - A @ np.linalg.lstsq(A, b)[0]
+    assert law.gap == pytest.approx(left @ left - fit.cost + 5 * np.log(1200), rel=1e-4, abs=1e-3)

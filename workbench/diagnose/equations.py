@@ -1,0 +1,57 @@
+"""Could one of the plant's own equations be off, where a static error of a sensor is named?
+
+    cost = min over c, dz  |e_0 + J dz + R c|^2 + |z + dz|^2,      R: what bumps b_j(v) in the rate of x_i do to the errors
+
+e_0 are the errors without the named effect; J and R are taken along the named model's runs. Where the machine is at rest most of
+the time, a bent reading of a flow and a duct that resists more look the same, and no effect of the catalogue stands for the duct.
+"""
+
+import numpy as np
+
+from workbench.diagnose.fit import _inverse
+from workbench.diagnose.refit import Model
+from workbench.diagnose.remainder import answers, trajectory, variables
+from workbench.records import record
+
+
+@record
+class Law:
+    """What the rate of `state` would lack over `variable`; gap: BIC by which the plant with it is worse than the named one."""
+
+    state: str
+    variable: str
+    gap: float
+
+    def __str__(self) -> str:
+        return f"the plant's own equation of {self.state} may be off instead, over {self.variable}"
+
+
+def instead(model: Model, key: str) -> Law | None:
+    """The law in one of the plant's equations that stands best for the effect `key`; None for a plant without parameters."""
+    fit, predictor = model.fit, model.predictor
+    unknowns, plant = fit.unknowns, predictor.plant
+    named, place = next((t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
+    others = np.delete(np.arange(unknowns.size), place)
+    e, slope, prior = [], np.zeros(unknowns.size), fit.prior[others]
+    for i, (J, eta, start) in enumerate(zip(fit.jacobian, fit.point.eta, fit.point.start, strict=True)):
+        without = eta.copy()
+        without[list(named.sizes)] = 0.0
+        e.append(predictor.errors(i, fit.point.p[None], without[None], start[None])[0].ravel())
+        slope[unknowns.columns(i)] += J.T @ e[i]
+    cost = sum(float(own @ own) for own in e) + float(prior @ prior)
+    numbers = named.count(unknowns.records)
+    found = []
+    made = variables([trajectory(model, i) for i in range(unknowns.records)])
+    for state in plant.laws:
+        for variable in (name for name in (*plant.state_names, *plant.input_names) if name in made):
+            bases = made[variable][1]
+            R = answers(model, ("rate", state), bases)
+            JR = np.zeros((unknowns.size, R[0].shape[1]))
+            for i, (J, r) in enumerate(zip(fit.jacobian, R, strict=True)):
+                JR[unknowns.columns(i)] += J.T @ r
+            A = np.block([[fit.information[np.ix_(others, others)], JR[others]], [JR[others].T, sum(r.T @ r for r in R)]])
+            b = np.concatenate([slope[others] + prior, sum(r.T @ own for r, own in zip(R, e, strict=True))])
+            if np.isfinite(A).all():  # a push that the filter does not hold tells nothing
+                more = (JR.shape[1] - numbers) * float(np.log(sum(map(len, predictor.records))))
+                found.append(Law(state, variable, cost - float(b @ _inverse(A) @ b) - fit.cost + more))
+    return min(found, key=lambda law: law.gap, default=None)
