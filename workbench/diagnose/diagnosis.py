@@ -981,7 +981,7 @@ def _beyond(base: Model, model: Model) -> tuple[str, ...]:
     said = []
     for j, i in enumerate(unknowns.parameters):
         q, now = plant.parameters[i], float(model.fit.point.p[i])
-        if abs(model.fit.z[j]) > 1.5 * np.sqrt(3.0):
+        if not _left_open(q.tolerance, float(model.fit.z[j] * unknowns.sigma[j])):
             pulled = bool(model.keys) and abs(base.fit.z[j]) < np.sqrt(3.0)
             sign = ": a sign of another missing piece" if pulled else ""
             said.append(
@@ -989,6 +989,15 @@ def _beyond(base: Model, model: Model) -> tuple[str, ...]:
                 f"sheet, which leaves {100 * q.tolerance:.0f} % open{sign}"
             )
     return tuple(said)
+
+
+def _left_open(tolerance: float, off: float) -> bool:
+    """Whether the logarithm of a parameter over nominal is one and a half times at most as far off as its tolerance allows.
+
+    A tolerance of 90 % leaves open a tenth of nominal: downwards it is wider in the logarithm.
+    """
+    lowest = np.inf if tolerance >= 1.0 else -np.log1p(-tolerance)
+    return bool(-1.5 * lowest <= off <= 1.5 * tolerance)
 
 
 def _spread(model: Model) -> np.ndarray:

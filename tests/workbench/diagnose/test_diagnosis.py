@@ -251,6 +251,15 @@ def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
     assert doubts["a@x"] == "it was found beside b@x, which is not sure"
 
 
+@pytest.mark.parametrize(
+    ("tolerance", "off", "open_"),
+    [(0.5, -0.54, True), (0.9, -0.85, True), (0.5, -0.7, False), (0.05, -0.04, True), (0.05, -0.1, False), (0.1, 0.14, True),
+     (0.1, 0.2, False), (1.0, -0.99, True), (2.0, -0.99, True)],
+)  # fmt: skip
+def test_a_parameter_is_beyond_where_its_share_of_nominal_is_far_outside_its_tolerance(tolerance, off, open_):
+    assert diagnosis._left_open(tolerance, float(np.log1p(off))) is open_
+
+
 @pytest.mark.parametrize(("gains", "only"), [((180.0, 190.0), True), ((180.0, 120.0), False), ((190.0,), False)])
 def test_causes_that_explain_next_to_nothing_one_by_one_are_not_sure(gains, only):
     """Of 200 that two explain, what is left without either says what the other explains alone."""
