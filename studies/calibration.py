@@ -21,12 +21,12 @@ from workbench.files import write_json
 from workbench.physics.extension import extension
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
-from workbench.readers import read_all
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import ParameterEstimate, Trace
 from workbench.report.page import write_report
+from workbench.sources import read
 
 Say = Callable[[str], None]
 
@@ -44,8 +44,8 @@ class Records:
 
 def read_records(options: Namespace, plant: Plant, say: Say) -> Records:
     """The records of a command and of --holdout, checked against the plant; what is odd about them is said."""
-    own, said = thinned(read_all(options.records), options.dt, plant)
-    held_out = read_all(options.holdout) if options.holdout else None
+    own, said = thinned(read(*options.records), options.dt, plant)
+    held_out = read(*options.holdout) if options.holdout else None
     if held_out:
         held_out = thinned(held_out, own.dt if said else options.dt, plant)[0]
         check_held_out(own, held_out)

@@ -28,7 +28,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, PiecewiseLinear, Powers, load_model
 from workbench.physics.controller import Controller
 from workbench.provenance import provenance
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Provenance, Report, Section, Table
@@ -86,7 +86,7 @@ def check(options: Namespace, say: Say, progress: Say) -> int:
     controller = choose_controller(options.controller, base)
     law = controller.law
     model = load_model(options.model) if options.model else None
-    records = [read(path) for path in options.records]
+    records = [read_file(path) for path in options.records]
     folder = run_folder(options.out, "check")
     parts: list[tuple[str, Checked]] = []
     left = open_errors(model, records, options) if model is not None else None

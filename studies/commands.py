@@ -21,7 +21,8 @@ from workbench.files import read_json, write_json
 from workbench.physics.controller import Loop
 from workbench.physics.plant import EffectSizes
 from workbench.provenance import provenance
-from workbench.readers import check_units, read, read_all, write_csv
+from workbench.readers import check_units, read_file, write_csv
+from workbench.sources import read
 
 DURATION = 60.0  # s, of a loop that holds its set-points
 MUCH = 0.02  # of the width of a schedule range, by which a record may leave it unsaid
@@ -115,7 +116,7 @@ def simulate(options: Namespace) -> int:
             applied = effects
             done = held
         else:
-            record = check_units(read(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
+            record = check_units(read_file(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
             applied = effects
             done = replay(plant, record, start=start, parameters=parameters, effects=applied)
         path = folder / f"{done.experiment.name}.csv"
@@ -413,12 +414,12 @@ def compare(options: Namespace) -> int:
     shown: Any = None  # the records with the roles of the first model
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
-        roles = {
-            "inputs": [c.name for c in model.inputs],
-            "outputs": [c.name for c in outputs],
-            "schedule": [model.schedule.name] if model.schedule else [],
-        }
-        dataset = read_all(options.records, **roles)
+        dataset = read(
+            *options.records,
+            inputs=[c.name for c in model.inputs],
+            outputs=[c.name for c in outputs],
+            schedule=model.schedule.name if model.schedule else (),
+        )
         shown = shown or dataset
         known = (*model.inputs, *outputs, *([model.schedule] if model.schedule else []))
         for experiment in dataset:
@@ -458,8 +459,8 @@ def _load_models(paths: list[str]) -> list:
 def _read(paths: list[str], roles: dict[str, tuple[str, ...]]) -> Dataset:
     """The records with their roles; `--schedule none` leaves out the channel that its name makes a schedule."""
     if roles["schedule"] != ("none",):
-        return read_all(paths, **roles)
-    records = read_all(paths, inputs=roles["inputs"], outputs=roles["outputs"])
+        return read(*paths, inputs=roles["inputs"], outputs=roles["outputs"], schedule=roles["schedule"])
+    records = read(*paths, inputs=roles["inputs"], outputs=roles["outputs"])
     return Dataset(tuple(e.select([c.name for c in e.channels if c.role != "schedule"]) for e in records))
 
 

@@ -36,7 +36,7 @@ from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.report import figures
 from workbench.report.blocks import Block, Report, Section, Table
 from workbench.report.page import write_report
@@ -163,7 +163,7 @@ def _errors_of(options: Namespace, model: LPVModel, progress: Say) -> tuple[Inte
         raise InputError("--tube without records", mend="give --records R.csv ..: they bound the model's errors")
     progress("errors that the records leave open")
     bound = numbers(options.bound, "--bound")
-    return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(read(path) for path in options.records)))
+    return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(read_file(path) for path in options.records)))
 
 
 def _say_tube(law: MPC, model: LPVModel, say: Say) -> dict[str, Any]:

@@ -40,7 +40,7 @@ from workbench.files import write_json
 from workbench.physics.extension import extension
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.provenance import provenance
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
@@ -225,7 +225,7 @@ def _read(data: str | None, quick: bool) -> Records:
     for path in paths:
         if not path.is_file():
             raise InputError("no such file", file=path, mend=f"{wanted}, here {data}")
-    records = [read(path) for path in paths]
+    records = [read_file(path) for path in paths]
     for e, path in zip(records, paths, strict=True):
         if not {"F", "q"} <= set(e.names):
             raise InputError("not a record of the EMPS benchmark", file=path, mend="expected t, qm, qg, vir and gtau in it")

@@ -30,11 +30,12 @@ from workbench.files import nullable, write_json
 from workbench.metrics import fit, rmse
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
-from workbench.readers import read, read_all, write_csv
+from workbench.readers import read_file, write_csv
 from workbench.report import figures
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
 from workbench.report.figures import Trace
 from workbench.report.page import write_report
+from workbench.sources import read
 
 Say = Callable[[str], None]
 
@@ -239,13 +240,13 @@ def run_machine(name: str, folder: Path, data: str, configuration: str) -> dict[
     """Diagnose a machine as its user would, and judge what is found on the held-out records; free runs go to `folder`."""
     machine = MACHINES[name]
     records, held = ([Path(data) / name / file for file in own] for own in (machine.records, machine.held_out))
-    steps = resolutions(read_all(records), getattr(real_plants, machine.plant))
+    steps = resolutions(read(*records), getattr(real_plants, machine.plant))
     row = {"machine": name, "configuration": configuration, "resolutions": steps}
     row |= answers.answer(records, held, f"{real_plants.__name__}:{machine.plant}", folder / name)
     if "verdict" not in row:
         return row
     try:
-        return row | judged(machine, row, read_all(held), folder / name)
+        return row | judged(machine, row, read(*held), folder / name)
     except Exception as reason:
         return row | {"unjudged": "".join(traceback.format_exception(reason))[-2000:]}
 
@@ -432,6 +433,6 @@ def _machine(row: Row, folder: Path) -> tuple[Block, ...]:
 
 
 def _picture(path: Path, record: str, channel: Channel) -> Block:
-    e = read(path)
+    e = read_file(path)
     simulated = {which: e[which] for which in (GIVEN, FOUND) if which in e.names}
     return figures.measured_and_simulated(record, e.t, Trace(channel, e["measured"]), simulated)

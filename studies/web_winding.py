@@ -22,13 +22,14 @@ from workbench.errors import InputError
 from workbench.files import read_json, read_text, write_json, write_text
 from workbench.metrics import tracking
 from workbench.provenance import provenance
-from workbench.readers import check_units, read, read_all
+from workbench.readers import check_units, read_file
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.archive import read_report
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
 from workbench.robustness.limits import load_limits
+from workbench.sources import read
 
 Say = Callable[[str], None]
 
@@ -166,7 +167,7 @@ def drawn(seed: int) -> Hidden:
 def _taken(data: Path, folder: Path) -> Split:
     """Copies of a user's records in the run's folder, checked. PRBS1 and RBS estimate if they are there, else the first half."""
     files = record_files(data)
-    dataset = read_all(files)
+    dataset = read(*files)
     units = {c.name: c.unit for c in (*WEB_WINDING.inputs, *WEB_WINDING.outputs)}
     for e in dataset:
         check_units(e, units)
@@ -195,7 +196,7 @@ def _limits(folder: Path, data: str | None, split: Split) -> dict[str, float]:
     elif not (folder / "limits.toml").exists():  # one that is there may be the user's by now
         w3, theta = 100.0, 0.0
         if data:
-            first = [read(folder / path) for path in split.estimation]
+            first = [read_file(folder / path) for path in split.estimation]
             w3, theta = (float(f"{np.mean(np.concatenate([e[name] for e in first])):.2g}") for name in OUTPUTS)
         numbers = {"w3": w3, "faster": 1.05 * w3, "theta": theta, "tighter": theta + 5.0}
         write_text(folder / "limits.toml", LIMITS.format(**numbers, slack=theta - 40.0, tight=theta + 40.0))
@@ -247,7 +248,7 @@ def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Sta
 def verdict(folder: Path, done: Mapping[str, Done], hidden: Hidden | None) -> str:
     """What a reader needs first: what the simulation lacks, which model, which controller, and whether it is safe."""
     found = read_json(folder / "diagnosis" / "diagnosis.json")
-    errors = {LAWS[law]: _tracked(read(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
+    errors = {LAWS[law]: _tracked(read_file(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
     said = [_lacks_said(found), _models_said(read_json(folder / "models" / "scores.json")), _loops_said(errors)]
     said += [
         f"Check of the {name}: {_checked_said(read_json(folder / f'check-{law}' / 'check.json'))}" for law, name in LAWS.items()
@@ -366,7 +367,7 @@ def _section(title: str, name: str, done: Done) -> Section:
 
 def _loops(folder: Path) -> tuple[Block, ...]:
     """Both laws through the run of the limits, with noise: outputs beside their set-points, and commands."""
-    runs = {LAWS[law]: read(folder / f"loop-{law}" / "limits.csv") for law in LAWS}
+    runs = {LAWS[law]: read_file(folder / f"loop-{law}" / "limits.csv") for law in LAWS}
     first = next(iter(runs.values()))
     shown = [
         figures.Followed(

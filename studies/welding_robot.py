@@ -36,11 +36,12 @@ from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import Horizon, Score, Split, score
 from workbench.physics.plant import EffectSizes
 from workbench.provenance import provenance
-from workbench.readers import check_units, read_all, write_csv
+from workbench.readers import check_units, write_csv
 from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
+from workbench.sources import read
 
 Say = Callable[[str], None]
 
@@ -210,7 +211,7 @@ def _known(e: Experiment) -> Experiment:
 def _read(folder: Path) -> Records:
     """A user's records: random excitation estimates where it is there by name, otherwise the first half by name."""
     files = record_files(folder)
-    experiments = tuple(read_all(files, inputs=(INPUT,), outputs=(OUTPUT,)))
+    experiments = tuple(read(*files, inputs=(INPUT,), outputs=(OUTPUT,)))
     for experiment in experiments:
         check_units(experiment, {c.name: c.unit for c in (*WELDING_ROBOT.inputs, *WELDING_ROBOT.outputs)})
     dataset = Dataset(tuple(_known(e) for e in experiments))

@@ -31,12 +31,13 @@ from workbench.identify.subspace import PBSID
 from workbench.lpv import LPVModel
 from workbench.metrics import Score, fit, horizon_name, score
 from workbench.provenance import provenance
-from workbench.readers import check_units, read_all, write_csv
+from workbench.readers import check_units, write_csv
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
 from workbench.simulate import replay
+from workbench.sources import read
 
 Say = Callable[[str], None]
 
@@ -180,7 +181,7 @@ def _simulate(seed: int, folder: Path, progress: Say) -> Records:
 def _read(folder: Path) -> Records:
     """A user's records: PRBS1 and RBS estimate where they are there, otherwise the first half by name."""
     files = record_files(folder)
-    dataset = read_all(files, inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,))
+    dataset = read(*files, inputs=INPUTS, outputs=(OUTPUT,), schedule=(SCHEDULE,))
     for experiment in dataset:
         check_units(experiment, {c.name: c.unit for c in (*WEB_WINDING.inputs, *WEB_WINDING.outputs)})
     chosen, rest = split_estimation(dataset, ESTIMATION)

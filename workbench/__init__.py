@@ -38,9 +38,10 @@ from workbench.physics.effects.shaft import Shaft, Slide
 from workbench.physics.effects.span import Span
 from workbench.physics.effects.winding import Winding
 from workbench.physics.plant import Parameter, Plant, Start
-from workbench.readers import check_units, read, read_all, write_csv
+from workbench.readers import check_units, read_file, write_csv
 from workbench.residuals import residual_test
 from workbench.simulate import Run, Scenario, replay, simulate, simulate_batch
+from workbench.sources import read
 from workbench.sweep import load_sweep, read_rows, run_sweep
 
 __all__ = [
@@ -49,6 +50,6 @@ __all__ = [
     "InclusionExact", "InclusionPaper", "InputError", "IntervalModel", "IntervalRegression", "LPVModel",
     "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear", "Plant", "Playback", "Powers", "Pulley", "Reel",
     "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start", "Stepped", "Winding", "advice", "check_units", "cover",
-    "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling", "read", "read_all", "read_rows",
+    "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling", "read", "read_file", "read_rows",
     "replay", "residual_test", "rm", "rmse", "run_sweep", "score", "segments", "simulate", "simulate_batch", "write_csv",
 ]  # fmt: skip

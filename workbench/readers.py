@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench.data import BadStamp, Channel, Dataset, Experiment, Role, bad_stamps
+from workbench.data import BadStamp, Channel, Experiment, Role, bad_stamps
 from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.records import record
@@ -130,7 +130,7 @@ LAYOUTS: dict[str, Layout] = {
 Names = Sequence[str] | None
 
 
-def read(path: str | Path, *, inputs: Names = None, outputs: Names = None, schedule: Names = None) -> Experiment:
+def read_file(path: str | Path, *, inputs: Names = None, outputs: Names = None, schedule: Names = None) -> Experiment:
     """One file is one record, named by its stem: .csv, .txt and .tsv as text, .mat of version 7 or older.
 
     Roles come from the names (`X_set` is a reference, see ROLES) or from the options, which win. The sample time is
@@ -146,23 +146,6 @@ def read(path: str | Path, *, inputs: Names = None, outputs: Names = None, sched
         )
     experiment = READERS[suffix](path)
     return experiment.with_roles(inputs or (), outputs or (), schedule or ())
-
-
-def read_all(paths: Iterable[str | Path], *, inputs: Names = None, outputs: Names = None, schedule: Names = None) -> Dataset:
-    """Every file as one record of a set; two files of one stem are told apart by their folder.
-
-    Raises InputError as `read`, for a file named twice, and for records that do not fit together.
-    """
-    paths = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
-    seen: set[Path] = set()
-    for path in paths:
-        if path.resolve() in seen:
-            raise InputError("is named twice", file=path, mend="name each record once")
-        seen.add(path.resolve())
-    stems = [path.stem for path in paths]
-    names = [path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.name}" for path in paths]
-    records = [read(path, inputs=inputs, outputs=outputs, schedule=schedule) for path in paths]
-    return Dataset(tuple(Experiment(name, e.t, e.channels, e.values, e.dt) for name, e in zip(names, records, strict=True)))
 
 
 def write_csv(experiment: Experiment, path: str | Path) -> Path:
@@ -239,6 +222,12 @@ _HEADER_CELL = re.compile(
 )
 
 
+def name_and_unit(cell: str) -> tuple[str, str]:
+    """("w3", "rad/s") of "w3 [rad/s]" or "w3 (rad/s)"; empty where the cell is no channel name."""
+    match = _HEADER_CELL.fullmatch(cell)
+    return (match[1], match[2] or match[3] or "") if match else ("", "")
+
+
 @record
 class _Header:
     """The first row of a CSV file: its delimiter, and a name and a unit for each cell."""
@@ -263,11 +252,12 @@ def _read_csv(path: Path) -> Experiment:
     t = table[:, header.time]
     dt = _sample_time(path, header.names[header.time], t, lambda row: _line_of_row(path, header, row))
     kept = [k for k in range(len(header.names)) if k != header.time]
-    channels = tuple(Channel(header.names[k], header.units[k], _role(header.names[k])) for k in kept)
+    channels = tuple(Channel(header.names[k], header.units[k], role_of(header.names[k])) for k in kept)
     return Experiment(path.stem, t, channels, table[:, kept], dt)
 
 
-def _role(name: str) -> Role:
+def role_of(name: str) -> Role:
+    """The role that a channel's name tells, see ROLES."""
     for pattern, role in ROLES:
         if re.fullmatch(pattern, name):
             return role
@@ -287,13 +277,13 @@ def _header(path: Path) -> _Header:
         )
     names, units = [], []
     for number, cell in enumerate(cells, 1):
-        match = _HEADER_CELL.fullmatch(cell)
-        if not match or not match[1]:
+        name, unit = name_and_unit(cell)
+        if not name:
             problem = f"column {number} has no name" if not cell else f"column {number}: {cell!r} is no channel name"
             mend = "write name [unit], the unit in brackets or left out; no delimiter at the end of the line"
             raise InputError(problem, file=path, line=line, mend=mend)
-        names.append(match[1])
-        units.append(match[2] or match[3] or "")
+        names.append(name)
+        units.append(unit)
     for name in names:
         if names.count(name) > 1:
             raise InputError(
@@ -523,8 +513,8 @@ def _read_mat(path: Path) -> Experiment:
         if name not in TIME_NAMES and len(array) == len(t):
             width = array.shape[1]
             names = [name] if width == 1 else [f"{name}{k + 1}" for k in range(width)]
-            columns += [(Channel(key, "", _role(key)), array[:, k]) for k, key in enumerate(names)]
-    return _from_columns(path, t, columns)
+            columns += [(Channel(key, "", role_of(key)), array[:, k]) for k, key in enumerate(names)]
+    return from_columns(path, t, columns)
 
 
 def _variables(path: Path) -> dict[str, np.ndarray]:
@@ -576,10 +566,11 @@ def _from_layout(path: Path, layout: Layout, variables: Mapping[str, np.ndarray]
                 mend="save vectors of equal length",
             )
         columns.append((column.channel, array * variables[column.times].flat[0] if column.times else array))
-    return _from_columns(path, t, columns)
+    return from_columns(path, t, columns)
 
 
-def _from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np.ndarray]]) -> Experiment:
+def from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np.ndarray]]) -> Experiment:
+    """Columns (N,) with their stamps t (N,) as a record named by the path's stem; faulty stamps and numbers are refused."""
     if not columns:
         raise InputError(
             f"no variable has the {len(t)} samples of the time vector", file=path, mend="save each channel as a vector"

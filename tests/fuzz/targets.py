@@ -21,7 +21,7 @@ from tests.workbench.robustness.test_verdict import drawn_loop
 from workbench.errors import InputError
 from workbench.lpv import load_model
 from workbench.physics.extension import extension, load_extension
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.report import figures
 from workbench.report.archive import read_report
 from workbench.report.blocks import Report, Section, Table, Text
@@ -133,8 +133,8 @@ def targets(folder: Path) -> dict[str, Target]:
         return read_report(folder)
 
     return {
-        "csv": Target(read, ".csv", CSV),
-        "mat": Target(read, ".mat", _mat()),
+        "csv": Target(read_file, ".csv", CSV),
+        "mat": Target(read_file, ".mat", _mat()),
         "limits": Target(load_limits, ".toml", LIMITS),
         "sweep": Target(load_sweep, ".toml", SWEEP),
         "model": Target(load_model, ".json", _saved(lpv().save, folder)),

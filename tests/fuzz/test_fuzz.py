@@ -72,4 +72,4 @@ def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
     monkeypatch.setattr(readers, "MAT_READER", killer)
     (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0")
     with pytest.raises(InputError, match=r"(?s)cannot be read as a MAT file \(crash of its reader\).*is the file whole"):
-        readers.read(tmp_path / "a.mat")
+        readers.read_file(tmp_path / "a.mat")

@@ -8,7 +8,7 @@ import pytest
 from studies.calibration import parse_bounds
 from studies.cli import main
 from workbench.errors import InputError
-from workbench.readers import read, write_csv
+from workbench.readers import read_file, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_a_held_out_record_among_the_fitted_ones_is_refused(records, tmp_path, c
 
 
 def test_a_held_out_record_in_another_unit_is_refused_before_anything_is_fitted(records, tmp_path, capsys):
-    e = read(records / "rbs.csv")
+    e = read_file(records / "rbs.csv")
     values = e.values.copy()
     values[:, e.names.index("v")] *= 1000.0
     write_csv(replace(e, values=values), tmp_path / "held.csv")

@@ -10,7 +10,7 @@ from controllers.pid import pid
 from studies.cli import main
 from workbench.data import Dataset
 from workbench.identify.lti import LTI
-from workbench.readers import read
+from workbench.readers import read_file
 
 LIMITS = """
 [run]
@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
     """Records of the robot, a model of them, and a PI law with and without integral action to spare."""
     folder = tmp_path_factory.mktemp("check")
     assert main(["simulate", "welding-robot", "--experiment", "prbs", "rbs", "--seed", "3", "--out", str(folder)]) == 0
-    records = [read(folder / f"{name}.csv").with_roles(inputs=("u",), outputs=("v",)) for name in ("prbs", "rbs")]
+    records = [read_file(folder / f"{name}.csv").with_roles(inputs=("u",), outputs=("v",)) for name in ("prbs", "rbs")]
     model = LTI(order=2, feedthrough=False).fit(Dataset(tuple(records)))
     model.save(folder / "lti.json")
     law = pid(("u",), ("v",), ("v_set",), model.dt, [2.0], [3.0], low=[-60.0], high=[60.0])

@@ -11,7 +11,7 @@ import pytest
 
 from studies import cli
 from studies.cli import main
-from workbench.readers import read
+from workbench.readers import read_file
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_help_needs_no_numerical_package():
 
 
 def test_simulated_records_hold_what_the_loop_did(records):
-    e = read(records / "prbs1.csv")
+    e = read_file(records / "prbs1.csv")
     assert e.names_of("input") == ("V1", "V2")
     assert e.names_of("reference") == ("w3_set", "theta_set")
     assert set(np.unique(e["w3_set"])) == {79.0, 121.0}
@@ -66,7 +66,7 @@ def test_simulated_records_hold_what_the_loop_did(records):
     assert e.dt == pytest.approx(0.04)
     # what the sensors do not see lies apart, so that the folder can be given to a study as it is
     assert {path.name for path in records.glob("*.csv")} == {"prbs1.csv", "rbs.csv", "rgs.csv"}
-    assert read(records / "states" / "prbs1.csv").names == ("w1", "w2", "w3", "T1", "T2", "r1", "r2")
+    assert read_file(records / "states" / "prbs1.csv").names == ("w1", "w2", "w3", "T1", "T2", "r1", "r2")
     summary = json.loads((records / "simulate.json").read_text())
     assert summary["provenance"]["seed"] == 7
     assert summary["provenance"]["versions"]["numpy"] == np.__version__
@@ -84,7 +84,7 @@ def test_effects_parameters_and_start_reach_the_plant(tmp_path):
     main([*common, "--out", str(tmp_path / "a")])
     main([*common, "--effect", "coulomb@rewind:level=0.002,width=2", "--out", str(tmp_path / "b")])
     main([*common, "--parameter", "J0=3e-5", "--start", "w3=90", "--out", str(tmp_path / "c")])
-    a, b, c = (read(tmp_path / x / "ramp.csv") for x in "abc")
+    a, b, c = (read_file(tmp_path / x / "ramp.csv") for x in "abc")
     # the loop holds the speed: friction shows in the voltage, V = Ra/kT level = 0.2 V
     assert np.mean(b["V2"] - a["V2"]) == pytest.approx(0.2, abs=0.02)
     assert c["w3"][0] == pytest.approx(90.0)
@@ -307,12 +307,12 @@ def test_a_kilohertz_record_is_thinned_with_a_word_and_the_user_may_choose(tmp_p
 
 def test_records_that_are_refused_may_be_taken_anyway_and_the_provenance_says_so(tmp_path, capsys):
     assert main(["simulate", "welding-robot", "--experiment", "rbs", "--seed", "3", "--out", str(tmp_path)]) == 0
-    e = read(tmp_path / "rbs.csv")
+    e = read_file(tmp_path / "rbs.csv")
     rows = (tmp_path / "rbs.csv").read_text().splitlines()
     at = rows[0].split(",").index("u [N]")
     lines = [rows[0], *(",".join(f"-{c}" if i == at else c for i, c in enumerate(row.split(","))) for row in rows[1:])]
     (tmp_path / "reversed.csv").write_text("\n".join(line.replace("--", "") for line in lines) + "\n")
-    assert read(tmp_path / "reversed.csv")["u"] == pytest.approx(-e["u"])
+    assert read_file(tmp_path / "reversed.csv")["u"] == pytest.approx(-e["u"])
     words = ("calibrate", str(tmp_path / "reversed.csv"), "--plant", "welding-robot", "--parameters", "m1")
     assert "looks reversed in sign" in refused(capsys, *words, "--out", str(tmp_path / "k"))
     main([*words, "--anyway", "--out", str(tmp_path / "k")])

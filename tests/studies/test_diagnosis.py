@@ -27,7 +27,7 @@ from workbench.diagnose.answer import (
 )
 from workbench.diagnose.domains import shown
 from workbench.diagnose.stages import StageError
-from workbench.readers import read, write_csv
+from workbench.readers import read_file, write_csv
 from workbench.simulate import simulate
 
 ROBOT, AXIS = PLANTS["welding-robot"], PLANTS["positioning-axis"]
@@ -221,7 +221,7 @@ def test_the_command_says_the_verdict_first_and_writes_all_it_promises(records, 
     assert content["next_experiment"]["file"] == str(tmp_path / "next_experiment.csv")
     assert set(content["provenance"]["data"]) == {"curve1.csv", "rbs.csv", "prbs.csv"}
 
-    played = read(tmp_path / "next_experiment.csv")
+    played = read_file(tmp_path / "next_experiment.csv")
     np.testing.assert_allclose(played["u"], np.linspace(-2.0, 2.0, 50))
     assert (played.channel("u").unit, played.channel("u").role, played.dt) == ("N", "input", pytest.approx(0.02))
 

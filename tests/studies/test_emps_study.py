@@ -175,10 +175,10 @@ def test_naming_it_gains_on_the_record_that_was_never_fitted(result):
 def test_the_saved_plant_runs_as_the_page_says(result):
     """The extended axis from its file, replayed by the simulator, against the error that the study states."""
     from studies.arguments import find_plant
-    from workbench.readers import read
+    from workbench.readers import read_file
 
     plant = find_plant(str(result[3] / "extended.json"))
-    e = read(DATA / emps.ESTIMATION).trim(stop=emps.SHORT)
+    e = read_file(DATA / emps.ESTIMATION).trim(stop=emps.SHORT)
     steps = np.arange(40)
     speed = float(np.polyfit(e.t[steps], e["q"][steps], 2)[1])
     run = replay(plant, e, start={"q": float(e["q"][0]), "v": speed})

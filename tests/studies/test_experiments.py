@@ -9,7 +9,7 @@ from studies.experiments import CURVES, EXPERIMENTS, plan
 from workbench.errors import InputError
 from workbench.excitation import prbs
 from workbench.physics.controller import Playback
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.simulate import Scenario, simulate, simulate_batch
 
 
@@ -134,7 +134,7 @@ def test_the_command_line_applies_and_records_the_effects_of_an_experiment(tmp_p
     words = ["simulate", "welding-robot", "--quiet", "--experiment", "curve2", "curve3"]
     assert main([*words, "--out", str(tmp_path / "a")]) == 0
     assert main([*words, "--effect", "arm-gravity@rail:sine=0,cosine=0", "--out", str(tmp_path / "b")]) == 0
-    plain, pulled, off = (read(tmp_path / path)["v"] for path in ("a/curve2.csv", "a/curve3.csv", "b/curve3.csv"))
+    plain, pulled, off = (read_file(tmp_path / path)["v"] for path in ("a/curve2.csv", "a/curve3.csv", "b/curve3.csv"))
     assert np.abs(plain - pulled).max() > 0.2
     assert np.array_equal(off, plain)  # the user switched it off
     written = json.loads((tmp_path / "a" / "simulate.json").read_text())
@@ -147,9 +147,9 @@ def test_the_command_line_applies_and_records_the_effects_of_an_experiment(tmp_p
 
 def test_a_robot_record_reads_back_with_its_roles_and_replays_to_itself(tmp_path):
     assert main(["simulate", "welding-robot", "--experiment", "curve3", "--quiet", "--out", str(tmp_path / "a")]) == 0
-    record = read(tmp_path / "a" / "curve3.csv")
+    record = read_file(tmp_path / "a" / "curve3.csv")
     assert (record.names_of("input"), record.names_of("output"), record.names_of("schedule")) == (("u",), ("v",), ("arm",))
     effect = "arm-gravity@rail:sine=0.4,cosine=0.1"
     words = ["simulate", "welding-robot", "--inputs-from", str(tmp_path / "a" / "curve3.csv"), "--effect", effect]
     assert main([*words, "--out", str(tmp_path / "b")]) == 0
-    np.testing.assert_array_equal(read(tmp_path / "b" / "curve3.csv").values, record.values)
+    np.testing.assert_array_equal(read_file(tmp_path / "b" / "curve3.csv").values, record.values)

@@ -8,7 +8,8 @@ import pytest
 from studies.cli import main
 from workbench.data import Experiment
 from workbench.intervals.model import load_interval_model
-from workbench.readers import read_all, write_csv
+from workbench.readers import write_csv
+from workbench.sources import read
 
 ROLES = ("--output", "y", "--inputs", "u", "--schedule", "rho")
 
@@ -54,7 +55,7 @@ def test_identify_writes_the_model_its_scores_and_its_envelopes(identified, file
         (name, "held-out" if name == "c" else "estimation", horizon) for name in "abc" for horizon in ("one-step", "free-run")
     }
     assert all(e["coverage"] == 1.0 for e in interval["envelopes"] if e["split"] == "estimation")
-    held = read_all([files[2]], inputs=["u"], outputs=["y"], schedule=["rho"]).experiments[0]
+    held = read(files[2], inputs=["u"], outputs=["y"], schedule=["rho"]).experiments[0]
     line = next(e for e in interval["envelopes"] if e["split"] == "held-out" and e["horizon"] == "one-step")
     assert line["coverage"] == model.one_step(held).coverage
     assert line["mean_radius"] == model.one_step(held).mean_radius

@@ -12,7 +12,7 @@ from tests.workbench.diagnose.test_black_box import LIMIT, limited
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.intervals.model import SCHEMA as INTERVAL_MODEL
-from workbench.readers import read, write_csv
+from workbench.readers import read_file, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -43,18 +43,18 @@ def test_a_diagnosis_of_a_model_names_extends_and_draws(diagnosed):
 
 def test_the_extended_model_runs_where_the_model_does(diagnosed, files):
     """Alone: the model that it extends is a file of numbers, no code."""
-    measured = read(files / "2.csv")
+    measured = read_file(files / "2.csv")
     errors = []
     for plant in (files / "m.json", diagnosed / "extended.json", f"{files / 'm.json'}+{diagnosed / 'extended.json'}"):
         out = files / f"run {len(errors)}"
         assert main(["simulate", str(plant), "--inputs-from", str(files / "2.csv"), "--quiet", "--out", str(out)]) == 0
-        errors.append(np.std(read(out / "2.csv")["w"] - measured["w"]))
+        errors.append(np.std(read_file(out / "2.csv")["w"] - measured["w"]))
     assert errors[1] < 0.5 * errors[0]
     assert errors[2] == errors[1]
 
 
 def test_records_without_the_schedule_are_refused(files, capsys):
-    e = read(files / "0.csv")
+    e = read_file(files / "0.csv")
     kept = [i for i, name in enumerate(e.names) if name != "r2"]
     bare = type(e)(e.name, e.t, tuple(e.channels[i] for i in kept), e.values[:, kept], e.dt)
     write_csv(bare, files / "bare.csv")

@@ -13,7 +13,7 @@ from studies.arguments import choose_controller
 from studies.cli import main
 from workbench.errors import InputError
 from workbench.physics.controller import Controller
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.simulate import Scenario, simulate
 
 LAWS = '''
@@ -66,7 +66,7 @@ def laws(tmp_path):
 
 def runs(law, folder):
     assert main(["simulate", "welding-robot", "--controller", law, *HELD, "--out", str(folder)]) == 0
-    return read(folder / "setpoint.csv")
+    return read_file(folder / "setpoint.csv")
 
 
 def test_both_kinds_close_the_loop_as_the_designed_law_of_the_same_gains_does(laws, tmp_path):
@@ -187,7 +187,7 @@ def test_two_files_of_ones_own_have_helpers_of_one_name_each_beside_itself(laws,
     plant, law = f"{tmp_path / 'plant' / 'plant.py'}:MINE", f"{tmp_path / 'law' / 'law.py'}:STEPS"
     words = ["simulate", plant, "--controller", law, *HELD, "--out", str(tmp_path / "o")]
     assert main(words) == 0
-    np.testing.assert_array_equal(read(tmp_path / "o" / "setpoint.csv")["v"], runs(f"{laws}:STEPS", tmp_path / "alone")["v"])
+    np.testing.assert_array_equal(read_file(tmp_path / "o" / "setpoint.csv")["v"], runs(f"{laws}:STEPS", tmp_path / "alone")["v"])
     named = json.dumps(json.loads((tmp_path / "o" / "simulate.json").read_text())["provenance"])
     assert named.count("params.py") == 2  # both are part of what was run
     assert choose_controller(law).files == (law.rpartition(":")[0], str(tmp_path / "law" / "params.py"))

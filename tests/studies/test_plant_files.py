@@ -12,7 +12,7 @@ from studies.cli import main
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.extension import extension
-from workbench.readers import read, write_csv
+from workbench.readers import read_file, write_csv
 from workbench.simulate import Scenario, simulate
 
 AXIS = PLANTS["positioning-axis"]
@@ -34,7 +34,7 @@ def test_the_command_line_takes_a_plant_file_wherever_it_takes_a_plant(tmp_path)
     assert main(["simulate", path, *common, "--out", str(tmp_path / "a")]) == 0
     by_hand = ["--parameter", "M=97", "--effect", "coulomb@slide:level=20,width=0.02"]
     assert main(["simulate", "positioning-axis", *common, *by_hand, "--out", str(tmp_path / "b")]) == 0
-    np.testing.assert_array_equal(read(tmp_path / "a/steps.csv").values, read(tmp_path / "b/steps.csv").values)
+    np.testing.assert_array_equal(read_file(tmp_path / "a/steps.csv").values, read_file(tmp_path / "b/steps.csv").values)
     source = json.loads((tmp_path / "a/simulate.json").read_text())["provenance"]
     assert "p.json" in source["data"]
     assert source["configuration"]["effects_of_plant"] == FOUND.effects
@@ -126,7 +126,7 @@ def test_an_own_effect_is_simulated_found_and_kept_in_a_plant_file(own, capsys):
     by_hand += ["--effect", f"eddy-brake@wheel:peak={found['peak']!r},speed={found['speed']!r}"]
     assert main(["simulate", extended, "--inputs-from", records[2], "--out", str(own / "a")]) == 0
     assert main(["simulate", wheel, *by_hand, "--inputs-from", records[2], "--out", str(own / "b")]) == 0
-    np.testing.assert_array_equal(read(own / "a/run3.csv").values, read(own / "b/run3.csv").values)
+    np.testing.assert_array_equal(read_file(own / "a/run3.csv").values, read_file(own / "b/run3.csv").values)
     with pytest.raises(InputError, match="no machine of the workbench"):
         find_plant(str(own / "found/extended.json"))
 

@@ -14,7 +14,7 @@ from studies.real_records import MACHINES, TARGETS, resolutions, run, said, verd
 from studies.real_scores import Ending, Machine, against, agreeing, ending, lower, sized, summary
 from workbench.data import Dataset, Experiment
 from workbench.physics.plant import Plant
-from workbench.readers import read, write_csv
+from workbench.readers import read_file, write_csv
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "real"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="measured data not here: expected ../shared/data/real")
@@ -186,7 +186,7 @@ def test_the_servo_s_own_readings_show_that_its_speed_is_late_and_larger():
     assert not set(own.shown) & set(own.right)
     found = []
     for file in (*own.records, *own.held_out):
-        e = read(DATA / own.name / file)
+        e = read_file(DATA / own.name / file)
         rate, v = np.gradient(e["q"], e.dt), e["v"]
 
         def left(time, rate=rate, v=v, dt=e.dt):
@@ -245,7 +245,7 @@ def test_a_shortened_machine_goes_through_the_command_to_a_page_with_its_free_ru
     """The first 1200 s of the tanks: what comes out is not judged here, that it comes out is."""
     own = MACHINES["cascaded_tanks"]
     for file in (*own.records, *own.held_out):
-        e = read(DATA / own.name / file)
+        e = read_file(DATA / own.name / file)
         (tmp_path / "data" / own.name).mkdir(parents=True, exist_ok=True)
         write_csv(e.trim(stop=1200.0), tmp_path / "data" / own.name / file)
     monkeypatch.setattr(real_records, "QUICK", (own.name,))

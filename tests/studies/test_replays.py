@@ -10,7 +10,7 @@ from controllers.files import controller_content
 from controllers.pid import pid
 from plants import WELDING_ROBOT
 from studies.cli import main
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.robustness.falsify import Dimension, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre
 
@@ -55,7 +55,7 @@ def test_a_counterexample_is_run_again(file, worst, tmp_path, capsys, plant):
     assert "band of 0.02 m/s broken by" in out
     assert f"stored {worst.excess:.12g} m/s, found now {worst.excess:.12g} m/s" in out
     assert "the counterexample stands" in out
-    record = read(tmp_path / "out" / "limits.csv")
+    record = read_file(tmp_path / "out" / "limits.csv")
     assert record["v"][worst.sample] == pytest.approx(worst.value, rel=1e-8)
     assert set(record.names) == {"u", "v", "v_set"}
     assert (tmp_path / "out" / "states" / "limits.csv").is_file()
@@ -134,7 +134,7 @@ def test_a_run_that_left_the_range_is_replayed_up_to_there(tmp_path, capsys):
     plant = f"{tmp_path / 'narrow.py'}:PLANT"
     assert main(["simulate", plant, "--replay", path, "--out", str(tmp_path / "out")]) == 0
     assert "leaves the range of the plant" in capsys.readouterr().out
-    record = read(tmp_path / "out" / "limits.csv")
+    record = read_file(tmp_path / "out" / "limits.csv")
     assert len(record) == worst.sample < 200
     assert np.max(record["v"]) > 0.3
     assert json.loads((tmp_path / "out" / "simulate.json").read_text())["runs"][0]["stored"] is None

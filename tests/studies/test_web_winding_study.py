@@ -12,7 +12,7 @@ from studies import web_winding
 from studies.stages import MARK
 from studies.web_winding import HIDDEN, Hidden, drawn, judged
 from workbench.errors import InputError
-from workbench.readers import read
+from workbench.readers import read_file
 from workbench.report.archive import read_report
 
 SEED = 11
@@ -47,13 +47,13 @@ def test_no_stage_after_the_records_is_told_what_is_hidden(chain):
     own = drawn(SEED)
     assert own.effect in stages["records"]["command"]
     assert all(own.effect not in stage["command"] for name, stage in stages.items() if name != "records")
-    assert all(own.effect not in read(path).names for path in (folder / "records").glob("*.csv"))
+    assert all(own.effect not in read_file(path).names for path in (folder / "records").glob("*.csv"))
 
 
 def test_errors_of_the_loops_are_those_of_the_records_of_the_loops(chain):
     folder = chain[0]
     for law, name in web_winding.LAWS.items():
-        run = read(folder / f"loop-{law}" / "limits.csv")
+        run = read_file(folder / f"loop-{law}" / "limits.csv")
         for y, unit in (("w3", "rad/s"), ("theta", "deg")):
             rms = float(np.sqrt(np.mean((run[f"{y}_set"] - run[y]) ** 2)))
             assert f"{y} {rms:.3g} {unit}" in re.search(rf"extended machine:.*?{name} ([^;.]*(?:\.[^;. ]+[^;.]*)*)", chain[2])[0]

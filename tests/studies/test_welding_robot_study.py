@@ -12,7 +12,7 @@ from studies.welding_robot import CURVES, PERTURBED, frozen_course, frozen_param
 from workbench.errors import InputError
 from workbench.intervals.model import load_interval_model
 from workbench.provenance import PACKAGES
-from workbench.readers import read
+from workbench.readers import read_file
 
 EQUATION_ERROR = ("one-box", "modes", "one-box-as-measured")
 
@@ -27,7 +27,7 @@ def result(tmp_path_factory):
 def rows(folder, model):
     """v(k), its regressors in delta form by the definition, and the sample of each row, for every estimation record."""
     for name in welding_robot.ESTIMATION:
-        e = read(folder / "records" / f"{name}.csv", inputs=("u",), outputs=("v",)).select(("u", "v")).resample(model["dt"])
+        e = read_file(folder / "records" / f"{name}.csv", inputs=("u",), outputs=("v",)).select(("u", "v")).resample(model["dt"])
         u, v = e["u"], e["v"]
         k = np.arange(2, len(e))
         z = np.column_stack([-(v[k - 1] - v[k - 2]), -v[k - 2], u[k - 1] - u[k - 2], u[k - 2], np.ones(len(k))])
@@ -64,7 +64,7 @@ def test_the_simulation_box_holds_every_estimation_sample_in_a_free_run(result):
     model = load_interval_model(result[0] / "simulation-box.json")
     box, random = model.modes[0].box, np.random.default_rng(0)
     for name in welding_robot.ESTIMATION:
-        e = read(result[0] / "records" / f"{name}.csv", inputs=("u",), outputs=("v",)).select(("u", "v")).resample(model.dt)
+        e = read_file(result[0] / "records" / f"{name}.csv", inputs=("u",), outputs=("v",)).select(("u", "v")).resample(model.dt)
         found = model.free_run(e)
         u, v = e["u"], e["v"]
         assert np.all((found.run.low <= v[2:]) & (v[2:] <= found.run.high))

@@ -9,7 +9,7 @@ import pytest
 from workbench.intervals.model import load_interval_model
 from workbench.lpv import load_model
 from workbench.metrics import fit, rm
-from workbench.readers import read
+from workbench.readers import read_file
 
 PRINTED = {  # [1] Tables 1.1 and 1.2, as typed from ../shared/seeds
     "FIT": {"SSM": (95, 93, 92, 90, 90), "ILM": (86, 85, 89, 83, 90), "LTI": (86, 85, 89, 83, 90)},
@@ -35,7 +35,7 @@ def test_scores_are_those_of_the_saved_models_on_the_saved_records(result):
         model = load_model(result[0] / entry["file"])
         for s in entry["scores"]:
             if s["horizon"] == "free-run" and s["record"] in RECORDS:
-                e, n = read(result[0] / "records" / f"{s['record']}.csv"), model.predictor.warmup
+                e, n = read_file(result[0] / "records" / f"{s['record']}.csv"), model.predictor.warmup
                 y, ys = e["w3"][n:], model.simulate(e)[n:, 0]
                 assert (s["FIT"], s["RM"]) == pytest.approx((fit(y, ys), rm(y, ys)), abs=1e-6)
 
@@ -61,7 +61,7 @@ def test_the_verdict_quotes_held_out_records_only(result):
 
 def test_fresh_records_are_other_records(result):
     for name in RECORDS:
-        a, b = (read(result[0] / sub / f"{name}.csv")["w3"] for sub in ("records", "records_fresh"))
+        a, b = (read_file(result[0] / sub / f"{name}.csv")["w3"] for sub in ("records", "records_fresh"))
         assert not np.array_equal(a, b)
 
 
@@ -71,7 +71,7 @@ def test_coverage_is_that_of_the_saved_models_on_the_saved_records(result):
     for entry in entries:
         model = load_interval_model(result[0] / entry["file"])
         for line in entry["envelopes"]:
-            e = read(result[0] / "records" / f"{line['record']}.csv").with_roles(outputs=("w3",))
+            e = read_file(result[0] / "records" / f"{line['record']}.csv").with_roles(outputs=("w3",))
             assert line["split"] == ("estimation" if line["record"] in ("prbs1", "rbs") else "held-out")
             found = model.one_step(e) if line["horizon"] == "one-step" else model.free_run(e, (5,))
             assert (line["coverage"], line["mean_radius"]) == pytest.approx((found.coverage, found.mean_radius), rel=1e-9)

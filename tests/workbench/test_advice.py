@@ -9,7 +9,7 @@ from scipy.signal import chirp, lfilter
 from workbench.advice import advice, feedback, quantum
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.readers import read
+from workbench.readers import read_file
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
@@ -75,7 +75,7 @@ def test_feedback_needs_an_input_an_output_and_samples():
 
 @pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="measured data not here: expected ../shared/data/emps")
 def test_the_measured_axis_is_known_to_run_in_closed_loop():
-    assert feedback(read(DATA / "emps" / "DATA_EMPS.mat")).detected
+    assert feedback(read_file(DATA / "emps" / "DATA_EMPS.mat")).detected
 
 
 def course(kind: str, count: int, g: np.random.Generator) -> np.ndarray:
@@ -152,7 +152,7 @@ def test_a_loop_is_found_under_every_set_point(kind):
      ("cascaded_tanks/est", "u", "y"), ("coupled_drives/run1", "u", "y"), ("ball_and_hoop/random_a", "u", "w")],
 )  # fmt: skip
 def test_benchmarks_that_were_run_open_are_not_called_closed(file, u, y):
-    assert not feedback(read(DATA / "real" / f"{file}.csv").with_roles([u], [y])).detected
+    assert not feedback(read_file(DATA / "real" / f"{file}.csv").with_roles([u], [y])).detected
 
 
 # ---- the other kinds -------------------------------------------------------------------------------------------------

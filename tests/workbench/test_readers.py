@@ -12,7 +12,8 @@ from scipy.io import savemat
 
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError
-from workbench.readers import LAYOUTS, check_units, read, read_all, write_csv
+from workbench.readers import LAYOUTS, check_units, read_file, write_csv
+from workbench.sources import read
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
@@ -31,7 +32,7 @@ def put(folder: Path, text: str | bytes, name: str = "run.csv") -> Path:
 
 def refusal(path: Path) -> InputError:
     with pytest.raises(InputError) as caught:
-        read(path)
+        read_file(path)
     assert caught.value.file == path
     assert caught.value.mend
     return caught.value
@@ -41,7 +42,7 @@ def refusal(path: Path) -> InputError:
 
 
 def test_a_file_of_the_contract_gives_names_units_roles_and_sample_time(tmp_path):
-    record = read(put(tmp_path, "\n".join([HEADER, *rows(20)])))
+    record = read_file(put(tmp_path, "\n".join([HEADER, *rows(20)])))
     assert record.name == "run"
     assert record.names == ("V1", "w3", "theta", "r2", "w3_set")
     assert [c.unit for c in record.channels] == ["V", "rad/s", "deg", "m", "rad/s"]
@@ -55,26 +56,26 @@ def test_a_file_of_the_contract_gives_names_units_roles_and_sample_time(tmp_path
 @pytest.mark.parametrize("start", ["", "\ufeff"])
 def test_delimiters_line_ends_marks_and_blank_lines_do_not_change_the_numbers(tmp_path, delimiter, end, start):
     text = start + end + end.join([HEADER, "", *rows(9), "", ""]).replace(",", delimiter)
-    record = read(put(tmp_path, text, "run.txt"))
+    record = read_file(put(tmp_path, text, "run.txt"))
     np.testing.assert_array_equal(record["w3"], 0.5 * np.arange(9))
     np.testing.assert_array_equal(record["V1"], np.arange(9) % 2)
     assert record.names[0] == "V1"
 
 
 def test_the_time_column_may_stand_anywhere_and_other_columns_keep_their_order(tmp_path):
-    record = read(put(tmp_path, "y,time [s],u\n1,0,4\n2,1,5\n3,2,6\n"))
+    record = read_file(put(tmp_path, "y,time [s],u\n1,0,4\n2,1,5\n3,2,6\n"))
     assert record.names == ("y", "u")
     np.testing.assert_array_equal(record.values, [[1, 4], [2, 5], [3, 6]])
 
 
 def test_options_win_over_names(tmp_path):
     path = put(tmp_path, "\n".join([HEADER, *rows(9)]))
-    record = read(path, inputs=["theta"], outputs=["V1"])
+    record = read_file(path, inputs=["theta"], outputs=["V1"])
     assert record.names_of("input") == ("theta",)
     assert record.names_of("output") == ("V1",)
     assert record.names_of("schedule") == ("r2",)
     with pytest.raises(InputError, match="did you mean 'theta'"):
-        read(path, inputs=["teta"])
+        read_file(path, inputs=["teta"])
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -85,7 +86,7 @@ def test_writing_and_reading_is_exact_bit_for_bit(tmp_path_factory, pairs, dt):
     columns = np.array(pairs)
     made = Experiment.from_arrays("run", dt, inputs={"u": columns[:, 0]}, outputs={"y 1": columns[:, 1]}, units={"u": "V"})
     path = write_csv(made, tmp_path_factory.mktemp("csv") / "run.csv")
-    back = read(path)
+    back = read_file(path)
     np.testing.assert_array_equal(back.values, made.values)
     np.testing.assert_array_equal(np.signbit(back.values), np.signbit(made.values))
     np.testing.assert_array_equal(back.t, made.t)
@@ -104,7 +105,7 @@ def test_a_name_that_a_header_cannot_hold_is_not_written(tmp_path, name):
 def test_stamps_rounded_by_the_logger_do_not_bias_the_sample_time(tmp_path):
     # 30 Hz in milliseconds: every single step is 33 or 34 ms, up to 2 % off
     text = "t,y\n" + "".join(f"{k / 30:.3f},{k}\n" for k in range(3001))
-    assert read(put(tmp_path, text)).dt == pytest.approx(1 / 30, rel=1e-5)
+    assert read_file(put(tmp_path, text)).dt == pytest.approx(1 / 30, rel=1e-5)
 
 
 def test_a_large_file_reads_fast(tmp_path):
@@ -113,13 +114,13 @@ def test_a_large_file_reads_fast(tmp_path):
     record = Experiment.from_arrays("big", 0.01, outputs={f"y{k}": block[:, k] for k in range(4)})
     path = write_csv(record, tmp_path / "big.csv")
     start = time.perf_counter()
-    read(path)
+    read_file(path)
     assert time.perf_counter() - start < 2.0  # 0.2 s here; a Python loop over the cells takes longer than 2 s
 
 
 def test_a_german_sheet_is_read_as_it_is(tmp_path):
     text = "Zeit (s);Drehzahl (1/min);Weg [mm]\r\n0;-1,5;1e-3\r\n0,005;1000;,5\r\n0,01;2,25;-0,125\r\n"
-    record = read(put(tmp_path, text))
+    record = read_file(put(tmp_path, text))
     assert list(map(str, record.channels)) == ["Drehzahl [1/min]", "Weg [mm]"]
     assert record.dt == 0.005
     np.testing.assert_array_equal(record.values, [[-1.5, 1e-3], [1000.0, 0.5], [2.25, -0.125]])
@@ -167,7 +168,7 @@ def test_a_comma_that_may_mark_thousands_is_asked_about_and_decimals_are_not(tmp
     assert (error.line, error.channel) == (2, "u")
     assert "'1,234' beside numbers without a comma" in error.problem
     assert "1.234 if it is decimal, 1234 if not" in error.mend
-    found = read(put(tmp_path, "t;u;v\n0;1,234;0,125\n1;2,5;1\n2;3;0,625\n3;1,5;0\n"))
+    found = read_file(put(tmp_path, "t;u;v\n0;1,234;0,125\n1;2,5;1\n2;3;0,625\n3;1,5;0\n"))
     np.testing.assert_array_equal(found["u"], [1.234, 2.5, 3.0, 1.5])
     np.testing.assert_array_equal(found["v"], [0.125, 1.0, 0.625, 0.0])
 
@@ -259,7 +260,7 @@ def test_mat_vectors_become_channels_and_a_matrix_one_channel_for_each_column(tm
     t = np.arange(5) * 0.5
     u, y = np.arange(10.0).reshape(5, 2), np.arange(5, dtype=np.int16)
     savemat(tmp_path / "a.mat", {"t": t, "u": u, "y": y, "gain": 3.0, "taps": np.ones(4), "note": "text"})
-    record = read(tmp_path / "a.mat")
+    record = read_file(tmp_path / "a.mat")
     assert record.names == ("u1", "u2", "y")
     assert record.names_of("input") == ("u1", "u2")
     np.testing.assert_array_equal(record[["u1", "u2"]], u)
@@ -269,7 +270,7 @@ def test_mat_vectors_become_channels_and_a_matrix_one_channel_for_each_column(tm
 
 def test_mat_without_stamps_takes_the_sample_time(tmp_path):
     savemat(tmp_path / "a.mat", {"Ts": 0.25, "u": np.arange(6.0), "y": np.arange(6.0), "taps": np.ones(4)})
-    record = read(tmp_path / "a.mat")
+    record = read_file(tmp_path / "a.mat")
     assert record.dt == 0.25
     np.testing.assert_array_equal(record.t, 0.25 * np.arange(6))
 
@@ -278,7 +279,7 @@ def test_emps_layout_gives_force_position_and_set_point(tmp_path):
     count = 6
     content = {"t": np.arange(count) * 1e-3, "vir": np.arange(count), "gtau": 35.0, "qm": np.ones(count)}
     savemat(tmp_path / "axis.mat", {**content, "qg": np.full(count, 2.0), "kp": 160.0})
-    record = read(tmp_path / "axis.mat")
+    record = read_file(tmp_path / "axis.mat")
     assert [(str(c), c.role) for c in record.channels] == [
         ("F [N]", "input"),
         ("q [m]", "output"),
@@ -321,7 +322,7 @@ def test_bad_mat_files_are_told_apart(tmp_path):
 
 @pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="measured data not here: expected ../shared/data/emps")
 def test_both_emps_files_load_as_one_set():
-    records = read_all([DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat"])
+    records = read(DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat")
     assert [len(record) for record in records] == [24841, 24841]
     assert records.dt == pytest.approx(1e-3, rel=1e-6)
     for record in records:
@@ -343,17 +344,17 @@ def test_several_files_are_a_set_of_records(tmp_path):
     text = "\n".join([HEADER, *rows(9)])
     (tmp_path / "b").mkdir()
     one, two = put(tmp_path, text, "one.csv"), put(tmp_path, "\n".join([HEADER, *rows(10)]), "two.csv")
-    assert read_all([one, two]).names == ("one", "two")
+    assert read(one, two).names == ("one", "two")
     twin = put(tmp_path / "b", "\n".join([HEADER, *rows(11)]), "one.csv")
-    names = read_all([one, twin]).names
+    names = read(one, twin).names
     assert len(set(names)) == 2
     with pytest.raises(InputError, match="named twice"):
-        read_all([one, tmp_path / "b" / ".." / "one.csv"])
+        read(one, tmp_path / "b" / ".." / "one.csv")
     with pytest.raises(InputError, match="no records"):
-        read_all([])
+        read()
     slow = put(tmp_path, "\n".join([HEADER, *rows(9, 0.2)]), "slow.csv")
     with pytest.raises(InputError, match=r"one and slow: sample times 0\.1 s and 0\.2 s"):
-        read_all([one, slow])
+        read(one, slow)
 
 
 # ---- units -----------------------------------------------------------------------------------------------------------

@@ -13,8 +13,9 @@ from workbench.identify import METHODS
 from workbench.identify.selection import choose
 from workbench.intervals.regression import IntervalRegression
 from workbench.metrics import fit, score
-from workbench.readers import read, read_all
+from workbench.readers import read_file
 from workbench.simulate import replay
+from workbench.sources import read
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 
@@ -69,7 +70,7 @@ def test_winding_process_is_met_no_worse_than_arx_by_a_choice_on_run_one_only(sc
 
 
 def test_positioning_axis_records_load_and_simulate():
-    records = read_all([DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat"])
+    records = read(DATA / "emps" / "DATA_EMPS.mat", DATA / "emps" / "DATA_EMPS_PULSES.mat")
     for e in records:
         assert len(e) == 24841
         assert e.dt == pytest.approx(0.001)
@@ -85,7 +86,7 @@ def test_adding_the_published_friction_brings_the_axis_close():
 
     One second ahead from the measured state, because a free run of a double integrator drifts with any offset.
     """
-    e = read(DATA / "emps" / "DATA_EMPS.mat")
+    e = read_file(DATA / "emps" / "DATA_EMPS.mat")
     v = np.gradient(e["q"], e.dt)
     smooth = np.convolve(v, np.ones(15) / 15, mode="same")
 
@@ -116,7 +117,7 @@ def test_an_interval_model_of_run_one_holds_it_completely_and_most_of_run_two(ou
 def test_friction_of_a_robot_is_handed_out_for_what_the_plant_gains_not_for_what_its_filter_lost():
     """Axis 1 of a KUKA KR300: 2.0 N m forward, 1.5 N m backward. It is found without torques that come and go as noise; beside a
     filter that follows such torques every plant is worse one step ahead."""
-    own, *held = read_all([DATA / "real" / "kuka_kr300" / f"{name}.csv" for name in ("A1", "B1", "C1")])
+    own, *held = read(*(DATA / "real" / "kuka_kr300" / f"{name}.csv" for name in ("A1", "B1", "C1")))
     found = diagnose(KUKA_KR300, Dataset((own,)), Dataset(tuple(held)))
     numbers = found.effects["asymmetric-friction@axis"]
     assert numbers["forward"] == pytest.approx(2.0, abs=0.25)
