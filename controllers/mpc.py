@@ -340,7 +340,7 @@ class MPC(Receding):
         cross = np.vstack([np.zeros((nx, nu)), self._R])
         S = self._S + self._R
         try:
-            return solve_discrete_are(Az, Bz, Q, S + np.diag(np.full(nu, TINY * max(np.trace(S), 1e-300))), s=cross)
+            return solve_discrete_are(Az, Bz, Q, S + TINY * np.eye(nu) * max(np.trace(S), 1e-300), s=cross)
         except (LinAlgError, ValueError):
             at = f" at {self.model.schedule.name} = {rho:.4g}" if self.model.schedule else ""
             raise InputError(

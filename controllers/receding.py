@@ -33,6 +33,9 @@ class Status(Enum):
     FALLBACK = "fallback law"
 
 
+HEAVIEST = 1e100  # weight, far above any that is meant: products of heavier ones are no numbers
+
+
 @record
 class Weights:
     """What counts how much; each (ny,) or (nu,): errors of the outputs, moves of the commands, distance from the target.
@@ -40,10 +43,10 @@ class Weights:
     violation: price of a unit of an output beyond its limit, as a multiple of what the same error costs, linear and squared.
     """
 
-    outputs: np.ndarray = field("ny", low=0.0)
-    moves: np.ndarray = field("nu", low=0.0)
-    inputs: np.ndarray = field("nu", low=0.0)
-    violation: float = field("", low=0.0, default=1e3)
+    outputs: np.ndarray = field("ny", low=0.0, high=HEAVIEST)
+    moves: np.ndarray = field("nu", low=0.0, high=HEAVIEST)
+    inputs: np.ndarray = field("nu", low=0.0, high=HEAVIEST)
+    violation: float = field("", low=0.0, high=HEAVIEST, default=1e3)
 
 
 class Program(NamedTuple):

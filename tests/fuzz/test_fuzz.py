@@ -56,10 +56,12 @@ def test_an_infinite_place_in_a_model_is_a_refusal(every, tmp_path):
         every["model"].read(path)
 
 
-def test_a_weight_whose_square_is_beyond_all_floats_is_a_refusal(every, tmp_path):
+@pytest.mark.parametrize("which", ["outputs", "moves", "inputs"])
+@pytest.mark.parametrize("weight", [1e200, float("inf")])
+def test_a_weight_whose_products_are_beyond_all_floats_is_a_refusal(every, tmp_path, which, weight):
     """Infinity times the zeros beside a diagonal is no number, and said so in a warning of numpy's."""
     content = json.loads(every["mpc"].seed)
-    content["weights"]["moves"][1] = 1e200
+    content["weights"][which][-1] = weight
     path = tmp_path / "mpc.json"
     path.write_text(json.dumps(content))
     with pytest.raises(InputError):
