@@ -358,7 +358,7 @@ class _Search:
             self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
             found = self.screened(model)
             self.lesser.met.append(model)
-            if not found or found[0].p_family > ALPHA:
+            if not found or (found[0].p_family > ALPHA and model.farthest <= FAR):
                 break
             step = _step(model, found, self.lesser, steps, self.most, self.progress)
             if not isinstance(step, Step):
@@ -424,11 +424,15 @@ def _step(
     sizes = lesser.sizes
     short = _with_late(model, shortlist([s for s in found if s.p_family < ALPHA]), found)
     short = _with_family(model.predictor.plant, short, found)
+    if not short:
+        return None
     progress(f"refitting {', '.join(s.key for s in short)}")
     trials = refits(model, short, sizes)
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
     near = {s.key for trial, s in trials[:FINALISTS] if trial.bic < trials[0][0].bic + slack}
     near |= _alike(model, [s for _, s in trials], sizes)
+    if model.farthest > FAR:  # first fits stay where parameters have made up for a sensor that is late: its profile does not
+        near |= {s.key for s in short if is_late(model.predictor, s.key)}
     others: dict[str, tuple[float, ...]] = {}
 
     def final(trial: Model, key: str, noise: Noise | None = None) -> Model:
@@ -544,12 +548,21 @@ def _local(before: Model, after: Model, key: str) -> Local:
 
 
 def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list[Score]:
-    """The shortlist; where it holds what is late, but no late sensor, with every one of these, however small its score."""
+    """The shortlist with late sensors, however small their scores: where it holds one, all that its sensor may be; where it
+    holds something else that is late, all of them.
+
+    So it is where nothing shows, but a parameter has left its data sheet: it may have made up for a sensor that is late, and a
+    filter follows the rest.
+    """
     late = {slot.key for slot in model.predictor.plant.slots if slot.effect.domain is Domain.SHIFT}
     keys = {s.key for s in short}
-    if not late & keys or any(is_late(model.predictor, key) for key in keys):
-        return short
-    return short + [s for s in found if is_late(model.predictor, s.key)]
+    slow = [s for s in found if is_late(model.predictor, s.key)]
+    places = {_at(s.key)[1] for s in slow if s.key in keys}
+    if places:
+        slow = [s for s in slow if _at(s.key)[1] in places]
+    elif not (late & keys or (not keys and model.farthest > FAR)):
+        slow = []
+    return short + [s for s in slow if s.key not in keys]
 
 
 def _with_family(plant: Plant, short: list[Score], found: Sequence[Score]) -> list[Score]:
@@ -852,11 +865,17 @@ def _cause(plant: Plant, step: Step, model: Model, gains) -> Cause:
         sentence=_sentence(plant, slot),
         parameters=_spanning(_sizes(model, step.key), step.others),
         gains=gains,
-        evidence=Evidence(step.gain, step.score.p_family, 1.0 / total),
+        evidence=Evidence(step.gain, _significance(step), 1.0 / total),
         ties={key: w / total for key, w in sorted(weights.items(), key=lambda item: -item[1])},
         stability=step.stable,
         separates=slot.effect.separates,
     )
+
+
+def _significance(step: Step) -> float:
+    """The p-value of a cause's score; where it was tried without one, the chance that a ratio of likelihoods has at most."""
+    p = step.score.p_family
+    return p if p < ALPHA else min(p, float(np.exp(-0.5 * step.gain)))
 
 
 def _sentence(plant: Plant, slot: Slot) -> str:

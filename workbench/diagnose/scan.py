@@ -6,6 +6,8 @@ One backward pass gives the push lambda that the errors ask for; its Fourier sum
 orders and frequencies at once. Their scale comes from the response at some of them.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 
@@ -17,23 +19,26 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 PROBES = 24
-REPEATS = 2.0  # waves that a record must go through: what does not come back is no ripple, it is bent over the angle
+ONCE = 1.0  # wave that a record must go through for its order to be looked at
+REPEATS = 1.5  # waves for it to be a ripple: what does not turn back twice is bent over the angle
 PEAKS = 3  # what happens within a sample blurs the scan: the largest few are tried in earnest
 
 
 @record
 class Scan:
-    """values (n): orders or frequencies that were looked at; tries: how many of them are independent."""
+    """values (n): orders or frequencies that were looked at; sought (n): which may be it; tries: how many are independent."""
 
     tries: int
     values: np.ndarray = field("n")
     statistics: np.ndarray = field("n")
+    sought: np.ndarray | None = None
 
     @property
     def peaks(self) -> list[float]:
-        """The most likely ones, at most PEAKS, each larger than its neighbours."""
+        """The most likely ones of those sought, at most PEAKS, each larger than its neighbours, sought or not."""
         padded = np.concatenate([[-np.inf], self.statistics, [-np.inf]])
         local = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
+        local &= True if self.sought is None else self.sought
         order = np.argsort(np.where(local, -self.statistics, np.inf))
         return [float(self.values[j]) for j in order[: min(PEAKS, int(local.sum()))]]
 
@@ -78,15 +83,19 @@ def latent_push(predictor: Predictor, fit: Fit, entry: str, i: int) -> np.ndarra
 def scan_orders(predictor: Predictor, fit: Fit, entry: str, place: str, orders: np.ndarray) -> Scan | None:
     """The order n of cos(n angle), sin(n angle) at a place that explains most, phases free in every record.
 
-    Of the orders that some record repeats; None where it repeats none: an arm that swings by a part of a turn.
+    Of the orders that some record repeats; None where it repeats none: an arm that swings by a part of a turn. Slower ones are
+    looked at beside them, so that the flank of what is slower is no peak.
     """
     plant = predictor.plant
     column = len(plant.states) + list(plant.turning).index(place)
     angles = [turned(plant, place, predictor.corrected(i, fit.point)[:, column]) for i in range(len(predictor.records))]
-    orders = orders[orders * max(np.ptp(a) for a in angles) >= REPEATS * 2.0 * np.pi]
-    if not len(orders):
+    turns = max(np.ptp(a) for a in angles) / (2.0 * np.pi)
+    orders = orders[orders * turns >= ONCE]
+    sought = orders * turns >= REPEATS
+    if not sought.any():
         return None
-    return _scan(predictor, fit, entry, [_over_samples(a, orders) for a in angles], orders, len(orders))
+    found = _scan(predictor, fit, entry, [_over_samples(a, orders) for a in angles], orders, int(sought.sum()))
+    return replace(found, sought=sought)
 
 
 def turned(plant: Plant, place: str, integral: np.ndarray) -> np.ndarray:

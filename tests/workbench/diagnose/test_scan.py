@@ -35,15 +35,18 @@ def test_the_order_that_was_put_in_is_found_over_the_angle_of_the_wheel(order):
 
 
 @pytest.mark.parametrize(("samples", "repeated"), [(600, True), (12, False)])
-def test_only_orders_that_a_record_goes_through_twice_are_looked_at(samples, repeated):
+def test_only_orders_that_turn_back_twice_in_a_record_are_sought(samples, repeated):
     """An arm that swings by a part of a turn shows a bend over its angle, and no wave of order 4 is told from it."""
     model = fitted(axis_records(3, force=25.0, samples=samples))
     column = len(AXIS.states)
     travel = max(np.ptp(turned(AXIS, "slide", model.predictor.corrected(i, model.fit.point)[:, column])) for i in range(2))
     found = scan_orders(model.predictor, model.fit, "v", "slide", ORDERS)
-    twice = ORDERS[ORDERS * travel / (2 * np.pi) >= 2.0]
-    assert (found is not None) is repeated is (len(twice) > 0)
-    assert found is None or found.values.tolist() == twice.tolist()
+    waves = ORDERS * travel / (2 * np.pi)
+    assert (found is not None) is repeated is bool(np.any(waves >= 1.5))
+    if found:
+        assert found.values.tolist() == ORDERS[waves >= 1.0].tolist()
+        assert found.values[found.sought].tolist() == ORDERS[waves >= 1.5].tolist()
+        assert found.tries == np.sum(waves >= 1.5)
 
 
 @pytest.mark.parametrize("frequency", [0.8, 3.3, 9.0])
@@ -74,3 +77,5 @@ def test_peaks_are_larger_than_their_neighbours_and_the_largest_comes_first():
     statistics = np.array([5.0, 1.0, 9.0, 8.0, 2.0, 3.0, 1.0, 4.0])
     assert Scan(1, np.arange(8.0), statistics).peaks == [2.0, 0.0, 7.0][:PEAKS]
     assert Scan(1, np.arange(3.0), np.array([1.0, 2.0, 3.0])).peaks == [2.0]
+    # the flank of a slower wave is no peak
+    assert Scan(1, np.arange(4.0), np.array([4.0, 3.0, 1.0, 2.0]), np.array([False, True, True, True])).peaks == [3.0]
