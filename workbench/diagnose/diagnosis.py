@@ -35,6 +35,7 @@ from workbench.diagnose.profile import profile, rough
 from workbench.diagnose.recalibrate import recalibrated
 from workbench.diagnose.referee import Judge, as_given, harms, helps, worse
 from workbench.diagnose.refit import (
+    LEFT,
     Model,
     from_special,
     is_late,
@@ -56,6 +57,7 @@ ALPHA = SIGNIFICANT  # family-wise, of the screen and of the remainder where not
 LEFT_OVER = 1e-4  # the same, where something is named
 WORTH = 6.0  # BIC by which a cause must be better
 TIE, IDEAL = 10.0, 0.1  # BIC within which rivals are a tie; or share of a cause's gain, for laws of friction are idealised
+ONE_STEP = 0.5  # share of a cause's gain that a law may be worse by after one step, and tie when it is fitted
 KNOWN = 0.05  # standard deviation of a size, in sizes of the named cause, below which records know it
 UNSEEN = 0.9  # standard deviation of a number, in sizes of its effect or of its prior, from which on records do not show it
 ASKED_FOR = 4.0  # deviance that one more number must take off: two standard deviations
@@ -77,8 +79,10 @@ HARM = 0.1  # share of an error by which a cause may raise it and be sure
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
 PLAY = "backlash"
+TOGETHER = "without the other causes it explains next to nothing: together they may stand for something else"
 NONE = "would explain these records at a size that they do not tell from none"
 TRIFLE = "would explain a little more, but takes no error down by a share that matters"
+LEAST = 0.01  # of nominal, below which a parameter is told whatever its tolerance
 DIGITS = 1e-6  # relative, to which the values of a record tell a step
 
 
@@ -149,13 +153,15 @@ def diagnose(
     following = _next(found.steps, templates)
     progress("free runs")
     only_together = _only_together(found.base, found.steps)
+    laws = {s.key: law for s in found.steps if (law := _instead(s, found.model))}  # free runs have gains in another unit
     found = _by_free_runs(found, judge)
     progress("gains on held-out records")
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
     if len(base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
         given = as_given(plant, dataset, drift=False, threads=threads)
     if len(base.predictor.noise.coloured):
-        given = with_coloured_noise(given, np.zeros(len(plant.slots)))
+        coloured = with_coloured_noise(given, np.zeros(len(plant.slots)))
+        given = coloured if coloured.sound else given
     objections = judge.objections("extended" if steps else "recalibrated", given, model)
     kept = bool(objections) and not steps  # what names nothing must not bend parameters either
     rounds = tuple(_rounded(plant, r) for r in rounded(filtered(model).predictor))
@@ -164,16 +170,18 @@ def diagnose(
     harm = {s.key: _harm(judge, s) for s in steps}
     model = model.sharpened()
     only_together = only_together and len(steps) > 1
-    laws = {s.key: law for s in steps if (law := _instead(s, model))}
-    better = {key: str(law) for key, law in laws.items() if law.gap < -TIE}
+    better = any(laws[s.key].gap < -TIE for s in steps if s.key in laws)
     if finding is Finding.NAMED and steps and (beyond or objections or only_together or better or any(harm.values())):
         finding = Finding.INCOMPLETE
     left = _strongest(found.left)
-    doubts = {}
+    against = {s.key: _against(laws[s.key]) if s.key in laws else "" for s in steps}
     if finding is Finding.INCOMPLETE:
-        doubts = _doubts(steps, bool(beyond), bool(objections), harm, only_together, left, better)
-    doubts = {key: f"{law}: these records do not tell the two apart" for key, law in laws.items()} | doubts
-    causes = tuple(replace(_cause(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts.get(s.key, "")) for s in steps)
+        if only_together:
+            against = {s.key: TOGETHER for s in steps}
+        else:
+            against = {s.key: _doubt(s, bool(beyond), bool(objections), harm[s.key], left) or against[s.key] for s in steps}
+    doubts = _doubts(steps, against)
+    causes = tuple(replace(_cause(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts[s.key]) for s in steps)
     return Diagnosis(
         plant=plant.name,
         finding=finding,
@@ -358,7 +366,7 @@ class _Search:
             self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
             found = self.screened(model)
             self.lesser.met.append(model)
-            if not found or (found[0].p_family > ALPHA and model.farthest <= FAR):
+            if not found or (found[0].p_family > ALPHA and model.farthest <= LEFT):
                 break
             step = _step(model, found, self.lesser, steps, self.most, self.progress)
             if not isinstance(step, Step):
@@ -431,7 +439,7 @@ def _step(
     slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
     near = {s.key for trial, s in trials[:FINALISTS] if trial.bic < trials[0][0].bic + slack}
     near |= _alike(model, [s for _, s in trials], sizes)
-    if model.farthest > FAR:  # first fits stay where parameters have made up for a sensor that is late: its profile does not
+    if model.farthest > LEFT:  # first fits stay where parameters have made up for a sensor that is late: its profile does not
         near |= {s.key for s in short if is_late(model.predictor, s.key)}
     others: dict[str, tuple[float, ...]] = {}
 
@@ -551,7 +559,7 @@ def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list
     """The shortlist with late sensors, however small their scores: where it holds one, all that its sensor may be; where it
     holds something else that is late, all of them.
 
-    So it is where nothing shows, but a parameter has left its data sheet: it may have made up for a sensor that is late, and a
+    So it is where nothing shows, but a parameter has left its tolerance: it may have made up for a sensor that is late, and a
     filter follows the rest.
     """
     late = {slot.key for slot in model.predictor.plant.slots if slot.effect.domain is Domain.SHIFT}
@@ -560,7 +568,7 @@ def _with_late(model: Model, short: list[Score], found: Sequence[Score]) -> list
     places = {_at(s.key)[1] for s in slow if s.key in keys}
     if places:
         slow = [s for s in slow if _at(s.key)[1] in places]
-    elif not (late & keys or (not keys and model.farthest > FAR)):
+    elif not (late & keys or (not keys and model.farthest > LEFT)):
         slow = []
     return short + [s for s in slow if s.key not in keys]
 
@@ -899,31 +907,13 @@ def _only_together(base: Model, steps: Sequence[Step]) -> bool:
     return all(whole - s.gain < ALONE * whole for s in steps)
 
 
-def _doubts(
-    steps: Sequence[Step],
-    beyond: bool,
-    worse_than_given: bool,
-    harm: Mapping[str, str],
-    only_together: bool,
-    left: float,
-    better: Mapping[str, str],
-) -> dict[str, str]:
-    """What speaks against causes of an incomplete answer; what was found beside one that is not sure is not sure either.
-
-    left: the statistic of what has no name; better: laws in the plant's own equations that explain more than a cause.
-    """
-    if only_together:
-        return {
-            s.key: "without the other causes it explains next to nothing: together they may stand for something else"
-            for s in steps
-        }
+def _doubts(steps: Sequence[Step], against: Mapping[str, str]) -> dict[str, str]:
+    """What speaks against each cause, empty where nothing does: also that it was found beside one that is not sure."""
     doubts, unsure = {}, ""
     for s in sorted(steps, key=lambda s: -s.gain):
-        own = _doubt(s, beyond, worse_than_given, harm[s.key], left)
-        own = own or (f"{better[s.key]}: that explains these records better" if s.key in better else "")
-        doubts[s.key] = own or (f"it was found beside {unsure}, which is not sure" if unsure else "")
-        unsure = unsure or (s.key if own else "")
-    return {key: doubt for key, doubt in doubts.items() if doubt}
+        doubts[s.key] = against[s.key] or (f"it was found beside {unsure}, which is not sure" if unsure else "")
+        unsure = unsure or (s.key if against[s.key] else "")
+    return doubts
 
 
 def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: float) -> str:
@@ -944,12 +934,18 @@ def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: fl
 def _instead(step: Step, model: Model) -> Law | None:
     """The law in one of the plant's own equations that explains the records better than a cause; None where none does.
 
-    A static error of a sensor stands far from where such a law acts: there one that explains them as well is as likely.
+    A static error of a sensor stands far from where such a law acts: there one that may explain them as well is as likely. The
+    law has taken one step of its fit only, at noise levels that suit the cause.
     """
     effect = next(slot.effect for slot in model.predictor.plant.slots if slot.key == step.key)
     static = effect.family == "sensor" and not effect.memories
     law = instead(model, step.key)
-    return law if law and law.gap < (max(TIE, IDEAL * step.gain) if static else -TIE) else None
+    return law if law and law.gap < (max(TIE, ONE_STEP * step.gain) if static else -TIE) else None
+
+
+def _against(law: Law) -> str:
+    """What a law in the plant's own equations says against a cause."""
+    return f"{law}: {'that explains these records better' if law.gap < -TIE else 'these records do not tell the two apart'}"
 
 
 def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:
@@ -1011,12 +1007,12 @@ def _beyond(base: Model, model: Model) -> tuple[str, ...]:
 
 
 def _left_open(tolerance: float, off: float) -> bool:
-    """Whether the logarithm of a parameter over nominal is one and a half times at most as far off as its tolerance allows.
+    """Whether the logarithm of a parameter over nominal leaves what its tolerance allows by half of that at most.
 
     A tolerance of 90 % leaves open a tenth of nominal: downwards it is wider in the logarithm.
     """
-    lowest = np.inf if tolerance >= 1.0 else -np.log1p(-tolerance)
-    return bool(-1.5 * lowest <= off <= 1.5 * tolerance)
+    lowest = -np.log(max(1.0 - tolerance, LEAST)) + 0.5 * tolerance
+    return bool(-lowest <= off <= 1.5 * tolerance)
 
 
 def _spread(model: Model) -> np.ndarray:

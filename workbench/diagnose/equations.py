@@ -27,7 +27,7 @@ class Law:
 
 
 def instead(model: Model, key: str) -> Law | None:
-    """The law in one of the plant's equations that stands best for the effect `key`; None for a plant without parameters."""
+    """The law in one of the plant's equations that stands best for the effect `key`; None for a plant without laws."""
     fit, predictor = model.fit, model.predictor
     unknowns, plant = fit.unknowns, predictor.plant
     named, place = next((t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
@@ -35,7 +35,7 @@ def instead(model: Model, key: str) -> Law | None:
     e, slope, prior = [], np.zeros(unknowns.size), fit.prior[others]
     for i, (J, eta, start) in enumerate(zip(fit.jacobian, fit.point.eta, fit.point.start, strict=True)):
         without = eta.copy()
-        without[list(named.sizes)] = 0.0
+        without[list(named.sizes)] = unknowns.base[list(named.sizes)]  # the plant's own, 0 where it has none
         e.append(predictor.errors(i, fit.point.p[None], without[None], start[None])[0].ravel())
         slope[unknowns.columns(i)] += J.T @ e[i]
     cost = sum(float(own @ own) for own in e) + float(prior @ prior)

@@ -519,7 +519,7 @@ def _entries(plant: Plant) -> tuple[tuple[str, ...], int]:
     """
     turning = [port.speed for port in plant.ports if hasattr(port, "speed")]
     spans = [port.tension for port in plant.ports if hasattr(port, "tension")]
-    moved = plant.linearize(*plant.equilibrium())[1] != 0.0
+    moved = _slopes(plant)[1] != 0.0
     driven = [name for name, own in zip(plant.state_names, moved, strict=True) if own.any() and name not in spans]
     apart = np.array([name not in spans for name in plant.state_names])
     shared = [name for name, own in zip(plant.input_names, moved.T, strict=True) if own[apart].sum() > 1 and not plant.discrete]
@@ -531,8 +531,14 @@ def _entries(plant: Plant) -> tuple[tuple[str, ...], int]:
 
 def _pushed(plant: Plant, inputs: np.ndarray) -> np.ndarray:
     """Rates of change (nx) that `inputs` give the states: directly, or through others within the fastest time constant."""
-    A, B = plant.linearize(*plant.equilibrium())[:2]
+    A, B = _slopes(plant)
     return _first(np.abs(M @ B) @ inputs for M in _powers(_fastest(A) * A))
+
+
+def _slopes(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """A (nx, nx) and B (nx, nu) where the plant rests; 0 where a root has no slope there."""
+    A, B = (np.nan_to_num(M, nan=0.0, posinf=0.0, neginf=0.0) for M in plant.linearize(*plant.equilibrium())[:2])
+    return A, B
 
 
 def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str], coloured: int) -> Noise:

@@ -24,6 +24,7 @@ CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 FEW_SENSORS = 2
+LEFT = np.sqrt(3.0)  # standard deviations of its prior at which a parameter leaves its tolerance
 LEVELS = (1.0, 2.0, 0.5)  # of a special case's level, from which a more general law begins
 FAR_OFF = 10.0  # deviance a sample from which a start leads nowhere
 COLOURED = 0.3  # of a sensor's noise: deviation of its coloured part, before the records are looked at
@@ -61,12 +62,12 @@ class Model:
     @property
     def within(self) -> float:
         """What the prior makes of the parameters' deviations from nominal, as far as they are within their tolerance."""
-        return float(np.sum(np.minimum(np.abs(self._theta), np.sqrt(3.0)) ** 2))
+        return float(np.sum(np.minimum(np.abs(self._theta), LEFT) ** 2))
 
     @property
     def beyond(self) -> float:
         """What the prior makes of the parameters' deviations beyond their tolerance."""
-        return float(np.sum(np.maximum(np.abs(self._theta) - np.sqrt(3.0), 0.0) ** 2))
+        return float(np.sum(np.maximum(np.abs(self._theta) - LEFT, 0.0) ** 2))
 
     @cached_property
     def deviance(self) -> float:
@@ -236,21 +237,33 @@ def is_late(predictor: Predictor, key: str) -> bool:
 def _from_late(model: Model, start: Fit, sizes: np.ndarray) -> Model | None:
     """A fit of a late sensor from times far above the sample time, with gains that know of them; None where all are far off.
 
+    It begins at the model's parameters, and at those of the data sheet where one of them has left its tolerance: it may have
+    made up for the sensor.
+    """
+    heads = [model.fit.z]
+    if model.farthest > LEFT:
+        heads.append(np.where(np.arange(len(model.fit.z)) < model.fit.unknowns.split[0], 0.0, model.fit.z))
+    found = [fitted for head in heads if (fitted := _from_times(model, start, head, sizes))]
+    return min(found, key=lambda m: m.bic, default=None)
+
+
+def _from_times(model: Model, start: Fit, head: np.ndarray, sizes: np.ndarray) -> Model | None:
+    """The best of the fits from the times LATE, all other unknowns at `head`; a start that is far off may end closest.
+
     Each time begins with the gains of the one before: those of a filter without a memory would run away.
     """
     unknowns, plant, predictor = start.unknowns, model.predictor.plant, model.predictor
     at, best = unknowns.places[-1].start, None
     for samples in LATE:
         z = start.z.copy()
-        z[:at], z[at] = model.fit.z, samples * plant.dt
+        z[:at], z[at] = head, samples * plant.dt
         predictor = predictor.regained(unknowns.point(z))
-        tried = Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0])
-        if not tried.deviance < model.deviance + FAR_OFF * predictor.samples:
+        tried = _evaluate(predictor, unknowns, [z], start.jacobian)[0]
+        if not Model(predictor, tried).deviance < model.deviance + FAR_OFF * predictor.samples:
             break
-        best = min((best or tried, tried), key=lambda m: m.deviance)
-    if best is None:
-        return None
-    return Model(best.predictor, gauss_newton(best.predictor, unknowns, best.fit.z, sizes, rounds=2, chords=4, enough=0.5))
+        fitted = Model(predictor, gauss_newton(predictor, unknowns, z, sizes, rounds=2, chords=4, enough=0.5))
+        best = min((best or fitted, fitted), key=lambda m: m.deviance)
+    return best
 
 
 def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:

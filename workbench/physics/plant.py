@@ -503,9 +503,18 @@ class Plant:
 
     @cached_property
     def laws(self) -> tuple[str, ...]:
-        """States whose rate of change holds a parameter: the others' says what the state means, as a speed is an angle's rate."""
-        p, rates = self.symbols["p"], column(self._traced_rates(None)[: len(self.states)])
-        return tuple(name for name, row in zip(self.state_names, ca.vertsplit(rates), strict=True) if ca.depends_on(row, p))
+        """States whose rate of change is a law that may be off: the others' say what the state means, as a speed is an angle's
+        rate, and are one other state times a number.
+        """
+        s, rates = self.symbols, column(self._traced_rates(None)[: len(self.states)])
+        J = ca.jacobian(rates, s["x"])
+        found = []
+        for i, name in enumerate(self.state_names):
+            other = [j for j in range(len(self.states)) if J[i, j].nnz()]
+            rest = ca.vertcat(*(value for key, value in s.items() if key != "x"))
+            means = len(other) == 1 and other[0] != i and J[i, :].is_constant() and not ca.depends_on(rates[i], rest)
+            found += [] if means else [name]
+        return tuple(found)
 
     def _traced_rates(self, opened: "_Opened | None") -> list:
         s = {name: entries(symbol) for name, symbol in self.symbols.items()}

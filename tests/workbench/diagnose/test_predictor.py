@@ -251,3 +251,23 @@ def test_the_tension_of_a_span_is_pushed_by_what_nobody_logged_whatever_its_plac
     own = Dataset((Experiment("r", t, (Channel("F", "N", "input"), Channel("T", "N", "output")), values, 0.01),))
     assert predictor(belt("web"), own).entries == predictor(belt("T"), own).entries == ("v", "T")
     assert len(predictor(belt("web"), own).noise.drift) == 1  # of what the input drives, not of the tension
+
+
+def test_an_input_without_a_slope_where_the_plant_rests_drives_nothing():
+    """The root of a pressure difference has none at 0: no number of noise becomes a hole."""
+    plant = Plant(
+        name="leak",
+        states=(Channel("p", "Pa"),),
+        inputs=(Channel("dp", "Pa", "input"),),
+        outputs=(Channel("y", "Pa", "output"),),
+        parameters=(Parameter("c", 2.0, "1", tolerance=0.1), Parameter("k", 1.0, "1/s", tolerance=0.1)),
+        equation=lambda x, u, p, at: {"p": p.c * np.sign(u.dp) * np.sqrt(np.abs(u.dp)) - p.k * x.p},
+        measure=lambda x, p: {"y": x.p},
+        dt=0.05,
+        noise={"y": 0.01},
+    )
+    t = 0.05 * np.arange(400)
+    e = Experiment.from_arrays("r", 0.05, inputs={"dp": np.sin(t)}, outputs={"y": 0.5 * np.sin(t)})
+    made = predictor(plant, Dataset((e,)))
+    assert np.isfinite(made.noise.process).all()
+    assert np.isfinite(made.at(made.point)[0]).all()
