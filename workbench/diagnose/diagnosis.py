@@ -462,12 +462,17 @@ def _step(
     finals.sort(key=lambda pair: pair[0].bic)
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
     behind = (pair for pair in trials[1:] if pair[1].key not in near)
-    while not any(left_out(model, m).holds for m, _ in worthy) and (pair := next(behind, None)):
+
+    def holds(m: Model, s: Score) -> bool:
+        # what shows by no score of its own is a cause only where nothing explains more
+        return (s.p_family < ALPHA or m is finals[0][0]) and left_out(model, m).holds
+
+    while not any(holds(m, s) for m, s in worthy) and (pair := next(behind, None)):
         # what came first holds in some records only: another cause may hold in all
         near.add(pair[1].key)
         tried = final(pair[0], pair[1].key, first.predictor.noise)
         worthy += [(tried, pair[1])] if _worthy(model, tried, pair[1].key, steps, most) else []
-    held = [(m, s) for m, s in worthy if left_out(model, m).holds]
+    held = [(m, s) for m, s in worthy if holds(m, s)]
     if not worthy and np.isfinite(most):
         # what the likelihood puts first helps nothing a second ahead: what it puts behind may
         tried, significant = {s.key for s in short}, [s for s in found if s.p_family < ALPHA]
