@@ -65,9 +65,20 @@ def _whole(text: str, low: int) -> int:
     return int(text)
 
 
+class _Version(argparse.Action):
+    """Prints the version and ends; it is looked up where it is asked for."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        from workbench.version import __version__
+
+        sys.stdout.write(f"workbench {__version__}\n")
+        parser.exit()
+
+
 def parser() -> argparse.ArgumentParser:
     """Every command with its options."""
     top = _Parser(prog="workbench", description="Gain-scheduling control design from measured records.", allow_abbrev=False)
+    top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
 
     def command(name: str, summary: str, epilog: str) -> argparse.ArgumentParser:

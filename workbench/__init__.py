@@ -43,13 +43,15 @@ from workbench.residuals import residual_test
 from workbench.simulate import Run, Scenario, replay, simulate, simulate_batch
 from workbench.sources import read
 from workbench.sweep import load_sweep, read_rows, run_sweep
+from workbench.version import __version__
 
 __all__ = [
     "ARX", "EFFECTS", "FIR", "ILM", "LTI", "METHODS", "N4SID", "PBSID", "SSM", "BySchedule", "Channel", "Controller",
     "Dataset", "Domain", "Effect", "EffectParameter", "Experiment", "Gaussian", "GridUnit", "InTime", "InclusionAll",
     "InclusionExact", "InclusionPaper", "InputError", "IntervalModel", "IntervalRegression", "LPVModel",
     "OutputErrorRegression", "Overlap", "Parameter", "PiecewiseLinear", "Plant", "Playback", "Powers", "Pulley", "Reel",
-    "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start", "Stepped", "Winding", "advice", "check_units", "cover",
-    "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling", "read", "read_file", "read_rows",
-    "replay", "residual_test", "rm", "rmse", "run_sweep", "score", "segments", "simulate", "simulate_batch", "write_csv",
+    "Robot", "Run", "Scenario", "Shaft", "Slide", "Span", "Start", "Stepped", "Winding", "__version__", "advice", "check_units",
+    "cover", "feedback", "fit", "load_interval_model", "load_model", "load_sweep", "noise_ceiling", "read", "read_file",
+    "read_rows", "replay", "residual_test", "rm", "rmse", "run_sweep", "score", "segments", "simulate", "simulate_batch",
+    "write_csv",
 ]  # fmt: skip

@@ -4,11 +4,13 @@ import json
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import workbench
 from studies import cli
 from studies.cli import main
 from workbench.readers import read_file
@@ -319,3 +321,11 @@ def test_records_that_are_refused_may_be_taken_anyway_and_the_provenance_says_so
     assert "taken all the same: u looks reversed in sign" in capsys.readouterr().out
     stored = json.loads((tmp_path / "k" / "calibration.json").read_text())
     assert stored["provenance"]["configuration"]["anyway"] is True
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"workbench {metadata.version('gain-scheduling-workbench')}\n"
+    assert metadata.version("gain-scheduling-workbench") == workbench.__version__
