@@ -229,7 +229,7 @@ class Predictor:
         N, nothing = len(r), np.empty((R, 0))
         lanes = stepper.Lanes(
             parameters=wide[0],
-            effects=wide[1],
+            effects=np.where(_rounding(self.plant), 0.0, wide[1]),  # a staircase has no slopes for a fit or a filter
             gains=nothing,
             memory=nothing,
             start=wide[2],
@@ -367,6 +367,11 @@ def with_decays(line: Linearization, decays: np.ndarray) -> Linearization:
 def player(plant: Plant) -> Playback:
     """One and the same controller for a plant: kernels are looked up by it."""
     return Playback(plant.input_names, plant.dt)
+
+
+def _rounding(plant: Plant) -> np.ndarray:
+    """Which numbers of the effects (ne) are the steps of rounded readings."""
+    return np.array([slot.effect.id == "quantisation" for slot in plant.slots], dtype=bool)
 
 
 def _smooth(plant: Plant, eta: np.ndarray) -> np.ndarray:

@@ -7,8 +7,10 @@ import pytest
 
 from plants import PLANTS
 from studies.experiments import plan
+from tests.workbench.diagnose.cases import AXIS, axis_records
 from workbench.data import Dataset
-from workbench.diagnose.calibrate import calibrate, gains, trajectories
+from workbench.diagnose.calibrate import along, calibrate, gains, trajectories
+from workbench.diagnose.gains import HORIZONS, SETTLING, errors
 from workbench.errors import InputError
 from workbench.simulate import simulate
 
@@ -168,3 +170,18 @@ def test_a_parameter_that_nothing_opens_is_refused(records):
     with pytest.raises(InputError, match="m1 has no tolerance") as reason:
         calibrate(rigid, records, names=["m1"])
     assert "--bound m1=LOW:HIGH" in reason.value.mend
+
+
+@pytest.mark.parametrize("step", [0.005, 0.05])
+def test_a_plant_that_rounds_its_readings_follows_a_record_as_well_as_one_that_does_not(step):
+    """A staircase has no slope: the start of a run was found at the wrong place, and its filter believed the steps."""
+    (e,) = axis_records(5, {"quantisation@q": {"step": step}}, samples=600, records=1)
+    rounds = replace(AXIS, effects={"quantisation@q": {"step": step}})
+    found = {}
+    for plant in (AXIS, rounds):
+        done = along(plant, Dataset((e,)))
+        for horizon in HORIZONS:
+            wrong = errors(done.predictor, done.fit.point, 0, horizon)[SETTLING:]
+            found.setdefault(horizon, []).append(np.sqrt(np.nanmean(wrong**2)))
+    for plain, rounded in found.values():
+        assert rounded == pytest.approx(plain, rel=0.01)
