@@ -25,7 +25,7 @@ SHORTEST, LONGEST, RATIO = 0.5, 32.0, np.sqrt(2.0)  # times in samples that are 
 BEST, MINIMA = 3, 2  # of the times that are held, fitted further; minima whose times are released
 STEP = 1e-3  # standard deviations of a parameter, for differences
 SAME = 10.0  # deviance within which two times are told apart by nothing
-INTERVAL = 1.96  # standard deviations of a time within which a time constant of the machine is not told from it
+INTERVAL = 1.96  # standard deviations of their difference within which a time constant of the machine is not told from a time
 SHARE = 0.9  # of its gain that a solution far from the data sheet must not lose to one that keeps it
 
 
@@ -59,12 +59,25 @@ def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
 
 
 def _met(model: Model, key: str) -> list[float]:
-    """Time constants of the machine from which the records do not tell the time: there the two minima have become one."""
+    """Time constants of the machine from which the records do not tell the time: there the two minima have become one.
+
+    The two give way to each other: what is known is their difference, with T = T(theta) linearised.
+    """
     if not _remembers(model.predictor.plant, key):
         return []
-    time, at = _time(model, key), _place(model.fit.unknowns, key).start
-    reach = INTERVAL * float(np.sqrt(model.fit.covariance[at, at]))
-    return [T for T in _time_constants(model) if abs(T - time) < reach]
+    time, at, n = _time(model, key), _place(model.fit.unknowns, key).start, model.fit.unknowns.split[0]
+    own = _time_constants(model)
+    moved = [_time_constants(model, by) for by in STEP * np.eye(n)]
+    if any(len(m) != len(own) for m in moved):
+        return []
+    found = []
+    for j, T in enumerate(own):
+        slope = np.zeros(model.fit.unknowns.size)
+        slope[:n] = [(m[j] - T) / STEP for m in moved]
+        slope[at] = -1.0
+        if abs(T - time) < INTERVAL * float(np.sqrt(slope @ model.fit.covariance @ slope)):
+            found.append(T)
+    return found
 
 
 def shifts(plant: Plant, key: str) -> bool:
