@@ -11,9 +11,11 @@ from tests.workbench.diagnose.cases import AXIS, axis_records, fitted, refitted
 from tests.workbench.diagnose.test_pushes import ROD
 from workbench import Parameter, Plant
 from workbench.data import Channel, Dataset, Experiment
+from workbench.diagnose import diagnosis
 from workbench.diagnose.answer import Finding
 from workbench.diagnose.diagnosis import diagnose
-from workbench.diagnose.equations import instead
+from workbench.diagnose.equations import Law, instead
+from workbench.diagnose.predictor import Point, predictor
 from workbench.diagnose.remainder import answers, trajectory, variables
 
 DT, AREA, DRAIN, FEED, READING = 0.5, 2.0, 0.05, 0.08, 4e-3
@@ -128,3 +130,50 @@ def test_an_effect_that_the_plant_has_of_its_own_is_not_taken_away_with_the_caus
     base[slot] = model.fit.point.eta[0, slot]
     own = replace(model, fit=replace(model.fit, unknowns=replace(model.fit.unknowns, base=base)))
     assert instead(own, key).gap < 5 * np.log(1200) + 1e-6 < instead(model, key).gap
+
+
+@pytest.mark.parametrize("state", ["q", "v"])
+def test_what_a_law_would_do_to_the_errors_is_what_the_plant_with_it_does(state):
+    """q takes in no noise, v does: a bump over v in the rate of either, by differences of a plant that has it as a parameter.
+
+    The filter holds the push over a sample, the plant does not.
+    """
+
+    def equation(x, u, p, at):
+        rates = dict(AXIS.equation(x, u, p, at))
+        rates[state] = rates[state] + p.law * np.exp(-0.5 * ((x.v - 0.1) / 0.2) ** 2)
+        return rates
+
+    with_law = replace(AXIS, equation=equation, parameters=(*AXIS.parameters, Parameter("law", 0.0, "", signed=True)))
+    model = fitted(axis_records(4, samples=400))
+    own = predictor(with_law, axis_records(4, samples=400))
+    point = Point(np.append(model.fit.point.p, 0.0), model.fit.point.eta, model.fit.point.start)
+    own = replace(own, entries=model.predictor.entries, substeps=model.predictor.substeps).regained(point, model.predictor.noise)
+    small, last = 1e-4, np.arange(len(point.p)) == len(point.p) - 1
+    for i in range(2):
+        v = trajectory(model, i)["v"]
+        bump = np.exp(-0.5 * ((v - 0.1) / 0.2) ** 2)[:, None]
+        linear = answers(model, ("rate", state), [bump if j == i else np.zeros((400, 1)) for j in range(2)])[i][:, 0]
+        moved = [own.errors(i, point.p[None] + c * last, point.eta[i][None], point.start[i][None])[0] for c in (small, 0.0)]
+        change = ((moved[0] - moved[1]) / small).ravel()
+        assert np.linalg.norm(change - linear) < 0.25 * np.linalg.norm(linear)
+
+
+@pytest.mark.parametrize(
+    ("effects", "gap", "finding", "said"),
+    [
+        ({"coulomb@slide": {"level": 20.0}}, -50.0, Finding.INCOMPLETE, "explains these records better"),
+        ({"coulomb@slide": {"level": 20.0}}, 0.0, Finding.NAMED, ""),
+        ({"sensor-nonlinearity@q": {"curvature": 0.05}}, 0.0, Finding.NAMED, "do not tell the two apart"),
+        ({"sensor-nonlinearity@q": {"curvature": 0.05}}, 1e6, Finding.NAMED, ""),
+    ],
+)
+def test_a_law_speaks_against_any_cause_that_it_outdoes_and_against_a_sensor_s_error_that_it_matches(
+    monkeypatch, effects, gap, finding, said
+):
+    monkeypatch.setattr(diagnosis, "instead", lambda model, key: Law("v", "F", gap))
+    found = diagnose(AXIS, axis_records(5, effects, samples=600), axis_records(6, effects, samples=600))
+    assert found.finding is finding
+    assert [c.key for c in found.causes] == list(effects)
+    assert found.causes[0].doubt.endswith(said)
+    assert bool(found.causes[0].doubt) is bool(said)
