@@ -937,7 +937,7 @@ def _doubt(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: fl
 
 
 def _instead(step: Step, model: Model) -> Law | None:
-    """The law in one of the plant's own equations that explains the records better than a cause; None where none does.
+    """The law in one of the plant's own equations that explains the records as well as a cause; None where none does.
 
     A static error of a sensor stands far from where such a law acts: there one that may explain them as well is as likely. The
     law has taken one step of its fit only, at noise levels that suit the cause.
@@ -945,7 +945,7 @@ def _instead(step: Step, model: Model) -> Law | None:
     effect = next(slot.effect for slot in model.predictor.plant.slots if slot.key == step.key)
     static = effect.family == "sensor" and not effect.memories
     law = instead(model, step.key)
-    return law if law and law.gap < (max(TIE, ONE_STEP * step.gain) if static else -TIE) else None
+    return law if law and law.gap < (max(TIE, ONE_STEP * step.gain) if static else TIE) else None
 
 
 def _against(law: Law) -> str:

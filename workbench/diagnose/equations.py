@@ -27,7 +27,10 @@ class Law:
 
 
 def instead(model: Model, key: str) -> Law | None:
-    """The law in one of the plant's equations that stands best for the effect `key`; None for a plant without laws."""
+    """The law in one of the plant's equations that stands best for the effect `key`; None for a plant without laws.
+
+    A law over what the effect itself is a law of (a command, the speed of a shaft) is no other cause, but its form.
+    """
     fit, predictor = model.fit, model.predictor
     unknowns, plant = fit.unknowns, predictor.plant
     named, place = next((t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
@@ -42,8 +45,11 @@ def instead(model: Model, key: str) -> Law | None:
     numbers = named.count(unknowns.records)
     found = []
     made = variables([trajectory(model, i) for i in range(unknowns.records)])
+    at = key.partition("@")[2]
+    argument = plant.turning.get(at, at)
+    over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
     for state in plant.laws:
-        for variable in (name for name in (*plant.state_names, *plant.input_names) if name in made):
+        for variable in over:
             bases = made[variable][1]
             R = answers(model, ("rate", state), bases)
             JR = np.zeros((unknowns.size, R[0].shape[1]))

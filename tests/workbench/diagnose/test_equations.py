@@ -163,8 +163,9 @@ def test_what_a_law_would_do_to_the_errors_is_what_the_plant_with_it_does(state)
     ("effects", "gap", "finding", "said"),
     [
         ({"coulomb@slide": {"level": 20.0}}, -50.0, Finding.INCOMPLETE, "explains these records better"),
-        ({"coulomb@slide": {"level": 20.0}}, 0.0, Finding.NAMED, ""),
-        ({"sensor-nonlinearity@q": {"curvature": 0.05}}, 0.0, Finding.NAMED, "do not tell the two apart"),
+        ({"coulomb@slide": {"level": 20.0}}, 0.0, Finding.NAMED, "do not tell the two apart"),
+        ({"coulomb@slide": {"level": 20.0}}, 11.0, Finding.NAMED, ""),
+        ({"sensor-nonlinearity@q": {"curvature": 0.05}}, 11.0, Finding.NAMED, "do not tell the two apart"),
         ({"sensor-nonlinearity@q": {"curvature": 0.05}}, 1e6, Finding.NAMED, ""),
     ],
 )
@@ -177,3 +178,10 @@ def test_a_law_speaks_against_any_cause_that_it_outdoes_and_against_a_sensor_s_e
     assert [c.key for c in found.causes] == list(effects)
     assert found.causes[0].doubt.endswith(said)
     assert bool(found.causes[0].doubt) is bool(said)
+
+
+@pytest.mark.parametrize("key", ["coulomb@slide", "dead-zone@F"])
+def test_a_law_over_what_the_effect_is_a_law_of_is_its_form_and_no_rival(key):
+    model = refitted(fitted(axis_records(5, {"coulomb@slide": {"level": 20.0}}, samples=600)), key, [5.0])
+    law = instead(model, key)
+    assert law.variable != {"coulomb@slide": "v", "dead-zone@F": "F"}[key]
