@@ -27,7 +27,7 @@ from studies.diagnosis import to_json
 from studies.verdict import sizes as described
 from studies.verdict import verdict as diagnosed
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.answer import Diagnosis, Finding
+from workbench.diagnose.answer import ROUNDED, Diagnosis, Finding
 from workbench.diagnose.diagnosis import diagnose
 from workbench.diagnose.fit import gauss_newton
 from workbench.diagnose.gains import errors, on
@@ -240,13 +240,19 @@ def _read(data: str | None, quick: bool) -> Records:
 def _compared(found: Diagnosis, quick: bool) -> tuple[Law, ...]:
     """The laws to be compared, and what the diagnosis names where it is none of them."""
     laws = QUICK if quick else LAWS
-    if not found.effects or any(_is_named(law, found) for law in laws):
+    named = _named(found)
+    if not named or any(_is_named(law, found) for law in laws):
         return laws
-    return (*laws, Law(f"named: {', '.join(found.effects)}", effects=tuple(found.effects)))
+    return (*laws, Law(f"named: {', '.join(named)}", effects=named))
 
 
 def _is_named(law: Law, found: Diagnosis) -> bool:
-    return law.plant is POSITIONING_AXIS and law.given is None and not law.drift and set(law.effects) == set(found.effects)
+    return law.plant is POSITIONING_AXIS and law.given is None and not law.drift and set(law.effects) == set(_named(found))
+
+
+def _named(found: Diagnosis) -> tuple[str, ...]:
+    """Effects that are fitted; a rounding is told by the readings."""
+    return tuple(key for key in found.effects if not key.startswith(f"{ROUNDED}@"))
 
 
 def judged(law: Law, records: Records) -> Judged:

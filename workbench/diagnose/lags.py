@@ -53,7 +53,7 @@ def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
     told = [_time(best, key)]
     for m in minima:
         time = _time(m, key)
-        if m.posterior - best.posterior < SAME and all(abs(np.log(time / other)) > np.log(RATIO) for other in told):
+        if time > 0.0 and m.posterior - best.posterior < SAME and all(_apart(time, other) for other in told):
             told.append(time)
     return Timed(best, (*told[1:], *_met(best, key)))
 
@@ -78,6 +78,11 @@ def _met(model: Model, key: str) -> list[float]:
         if abs(T - time) < INTERVAL * float(np.sqrt(slope @ model.fit.covariance @ slope)):
             found.append(T)
     return found
+
+
+def _apart(one: float, other: float) -> bool:
+    """Whether two times differ by more than the ratio of those that are held; 0 is none."""
+    return min(one, other) <= 0.0 or abs(np.log(one / other)) > np.log(RATIO)
 
 
 def shifts(plant: Plant, key: str) -> bool:
