@@ -44,12 +44,8 @@ def read(*sources: Any, inputs: Names = (), outputs: Names = (), schedule: Names
             e = source
         else:
             e = _from_arrays(f"record {number}", source, dt)
-        made.append(e.with_roles(_listed(inputs), _listed(outputs), _listed(schedule)))
+        made.append(e.with_roles(inputs, outputs, schedule))
     return Dataset(tuple(made))
-
-
-def _listed(names: Names) -> Sequence[str]:
-    return [names] if isinstance(names, str) else names
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:

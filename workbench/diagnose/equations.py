@@ -35,13 +35,13 @@ def instead(model: Model, key: str) -> Law | None:
     unknowns, plant = fit.unknowns, predictor.plant
     named, place = next((t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
     others = np.delete(np.arange(unknowns.size), place)
-    e, slope, prior = [], np.zeros(unknowns.size), fit.prior[others]
-    for i, (J, eta, start) in enumerate(zip(fit.jacobian, fit.point.eta, fit.point.start, strict=True)):
+    e, prior = [], fit.prior[others]
+    for i, (eta, start) in enumerate(zip(fit.point.eta, fit.point.start, strict=True)):
         without = eta.copy()
         without[list(named.sizes)] = unknowns.base[list(named.sizes)]  # the plant's own, 0 where it has none
         e.append(predictor.errors(i, fit.point.p[None], without[None], start[None])[0].ravel())
-        slope[unknowns.columns(i)] += J.T @ e[i]
     cost = sum(float(own @ own) for own in e) + float(prior @ prior)
+    slope, information = fit.seen(e)[others] + prior, fit.information[np.ix_(others, others)]
     numbers = named.count(unknowns.records)
     found = []
     made = variables([trajectory(model, i) for i in range(unknowns.records)])
@@ -50,13 +50,10 @@ def instead(model: Model, key: str) -> Law | None:
     over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
     for state in plant.laws:
         for variable in over:
-            bases = made[variable][1]
-            R = answers(model, ("rate", state), bases)
-            JR = np.zeros((unknowns.size, R[0].shape[1]))
-            for i, (J, r) in enumerate(zip(fit.jacobian, R, strict=True)):
-                JR[unknowns.columns(i)] += J.T @ r
-            A = np.block([[fit.information[np.ix_(others, others)], JR[others]], [JR[others].T, sum(r.T @ r for r in R)]])
-            b = np.concatenate([slope[others] + prior, sum(r.T @ own for r, own in zip(R, e, strict=True))])
+            R = answers(model, ("rate", state), made[variable][1])
+            JR = fit.seen(R)[others]
+            A = np.block([[information, JR], [JR.T, sum(r.T @ r for r in R)]])
+            b = np.concatenate([slope, sum(r.T @ own for r, own in zip(R, e, strict=True))])
             if np.isfinite(A).all():  # a push that the filter does not hold tells nothing
                 more = (JR.shape[1] - numbers) * float(np.log(sum(map(len, predictor.records))))
                 found.append(Law(state, variable, cost - float(b @ _inverse(A) @ b) - fit.cost + more))

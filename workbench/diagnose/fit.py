@@ -213,6 +213,13 @@ class Fit:
         """Covariance of the unknowns, to first order."""
         return _inverse(self.information)
 
+    def seen(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """J'R, (n, ..): what the unknowns see of columns R_i (N ny, ..), by record."""
+        found = np.zeros((self.unknowns.size, *columns[0].shape[1:]))
+        for i, (J, R) in enumerate(zip(self.jacobian, columns, strict=True)):
+            found[self.unknowns.columns(i)] += J.T @ R
+        return found
+
     def projected(self, i: int, weights: np.ndarray) -> np.ndarray:
         """J_i weights (N ny, c): what a move of the unknowns, weights (n, c), does to the errors of record i."""
         return self.jacobian[i] @ weights[self.unknowns.columns(i)]

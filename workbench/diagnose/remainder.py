@@ -170,9 +170,7 @@ def _scores(model: Model, channel: tuple[str, str], bases: Iterable[list[np.ndar
     records = len(predictor.records)
     joined = [np.concatenate([basis[i] for basis in bases], axis=1) for i in range(records)]
     responses = answers(model, channel, joined)
-    JG = np.zeros((fit.unknowns.size, responses[0].shape[1]))
-    for i, J in enumerate(fit.jacobian):
-        JG[fit.unknowns.columns(i)] += J.T @ responses[i]
+    JG = fit.seen(responses)
     weights = fit.covariance @ JG
     b = -weights.T @ fit.gradient + sum(g.T @ e.ravel() for g, e in zip(responses, fit.errors, strict=True))
     S = sum(g.T @ g for g in responses) - JG.T @ weights
