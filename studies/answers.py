@@ -16,8 +16,8 @@ import numpy as np
 
 from studies.cli import NOT_HANDED_OUT
 from workbench.data import Dataset, Experiment
-from workbench.diagnose.calibrate import along
-from workbench.diagnose.gains import HORIZONS, SETTLING, errors
+from workbench.diagnosis.calibrate import along
+from workbench.diagnosis.gains import HORIZONS, SETTLING, errors
 from workbench.errors import InputError
 from workbench.files import read_json
 from workbench.physics.extension import extension

@@ -4,7 +4,6 @@ python -m studies.catalogue      writes both pages again
 """
 
 import inspect
-import re
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from plants import PLANTS
 from studies.arguments import choose_plant
 from workbench.files import write_json, write_text
 from workbench.physics.effects import EFFECTS, effects_of
-from workbench.physics.effects.effect import Effect, EffectParameter, Port
+from workbench.physics.effects.effect import EffectParameter, Port
 from workbench.physics.plant import Plant
 
 Say = Callable[[str], None]
@@ -48,21 +47,10 @@ def entries(plant: Plant) -> Iterator[dict[str, Any]]:
                 "effect": f"{effect.id}@{port.place}",
                 "parameters": [_number(port.fitted(p)) for p in effect.parameters],
                 "sentence": effect.sentence.format(place=port.place),
-                "equation": equation(effect),
-                "symbols": symbols(port, effect),
+                "equation": effect.stated,
+                "symbols": port.symbols_of(effect),
                 "separates": effect.separates,
             }
-
-
-def equation(effect: Effect) -> str:
-    """The equation of an effect; of one with a phase also what its amplitude is, which a diagnosis states."""
-    return f"{effect.equation}, amplitude = sqrt(cosine^2 + sine^2)" if effect.phase else effect.equation
-
-
-def symbols(port: Port, effect: Effect) -> str:
-    """What the symbols in the equation of an effect mean at its port, with their signs."""
-    words = set(re.findall(r"\w+", effect.equation))
-    return "; ".join(part for part in port.symbols.split("; ") if words & set(part.split(":")[0].split(", ")))
 
 
 def _number(p: EffectParameter) -> str:
@@ -102,7 +90,7 @@ def _family(family: str) -> Iterator[str]:
     for effect in effects_of(family):
         yield f"### {effect.id}\n"
         yield f"{effect.sentence.format(place='PLACE')}\n"
-        yield f"- `{equation(effect)}`"
+        yield f"- `{effect.stated}`"
         yield f"- numbers: {', '.join(_number(p) for p in effect.parameters)}"
         yield f"- told apart by: {effect.separates}\n"
 

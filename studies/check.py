@@ -42,7 +42,7 @@ from workbench.robustness.margins import Falsified, Margin, margin
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, load_sequence
 from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 Say = Callable[[str], None]
 

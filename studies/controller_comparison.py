@@ -34,7 +34,7 @@ from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
-from workbench.simulate import LeftRangeError, simulate
+from workbench.simulation import LeftRangeError, simulate
 
 Say = Callable[[str], None]
 Row = dict[str, Any]

@@ -28,7 +28,7 @@ from studies.arguments import Chosen, choose_plant, names, numbers, parse_number
 from studies.cli import DONE
 from studies.referee import handed_out
 from studies.trial import Trial, tried
-from studies.verdict import ended
+from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.files import nullable, write_json, write_text

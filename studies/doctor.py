@@ -56,7 +56,7 @@ def _simulation() -> Finding:
     """The welding robot under a constant force must settle at the DC gain of G(s), 2.3/1.67."""
     from plants import WELDING_ROBOT
     from workbench.physics.controller import Playback
-    from workbench.simulate import Scenario, simulate
+    from workbench.simulation import Scenario, simulate
 
     begin = time.perf_counter()
     run = simulate(WELDING_ROBOT, Playback(("u",), 0.02), Scenario("self-check", {"u": np.ones(3000)}))

@@ -22,19 +22,19 @@ from scipy.io import loadmat
 from scipy.signal import butter, sosfiltfilt
 
 from plants import POSITIONING_AXIS
-from studies.calibration import PLANT_FILE
-from studies.diagnosis import to_json
-from studies.verdict import sizes as described
-from studies.verdict import verdict as diagnosed
+from workbench.answers.calibrate import PLANT_FILE
+from workbench.answers.diagnose import DIAGNOSIS_FILE, to_dict
+from workbench.answers.verdict import sizes as described
+from workbench.answers.verdict import verdict as diagnosed
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.answer import ROUNDED, Diagnosis, Finding
-from workbench.diagnose.diagnosis import diagnose
-from workbench.diagnose.fit import gauss_newton
-from workbench.diagnose.gains import errors, on
-from workbench.diagnose.predictor import Noise, predictor
-from workbench.diagnose.recalibrate import recalibrated, unknowns
-from workbench.diagnose.refit import Model, refit, settled
-from workbench.diagnose.screen import scores, signatures, small_sizes, variants
+from workbench.diagnosis.answer import ROUNDED, Diagnosis, Finding
+from workbench.diagnosis.diagnosis import diagnose
+from workbench.diagnosis.fit import gauss_newton
+from workbench.diagnosis.gains import errors, on
+from workbench.diagnosis.predictor import Noise, predictor
+from workbench.diagnosis.recalibrate import recalibrated, unknowns
+from workbench.diagnosis.refit import Model, refit, settled
+from workbench.diagnosis.screen import scores, signatures, small_sizes, variants
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.physics.extension import extension
@@ -202,8 +202,9 @@ def main(
     source = provenance({"study": "emps", "quick": quick, "data": data}, records.files)
     extension(POSITIONING_AXIS, POSITIONING_AXIS.name, found.parameters, found.effects, source).save(folder / PLANT_FILE)
     numbers = [_law_json(one, laws[0], records) for one in laws]
-    content = to_json(found, folder, source) | {"laws": numbers, "fitted to free runs": free}
-    for path in (folder / "diagnosis.json", json):
+    content = to_dict(found) | {"extended": str(folder / PLANT_FILE), "laws": numbers, "fitted to free runs": free}
+    content["provenance"] = source
+    for path in (folder / DIAGNOSIS_FILE, json):
         if path:
             write_json(path, content)
     progress("report")

@@ -17,11 +17,12 @@ from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS, WEB_WINDING
 from workbench import excitation
 from workbench.data import Experiment
+from workbench.diagnosis.experiments import Template
 from workbench.errors import check_known
 from workbench.physics.controller import Playback
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 
 @record
@@ -224,3 +225,9 @@ def measured(plant: Plant, experiment: str, seed: int, effects: EffectSizes | No
         law = replace(law, dt=plant.dt)
         scenario = replace(scenario, references={name: r[held] for name, r in scenario.references.items()})
     return simulate(plant, law, scenario, effects=todo.effects_with(effects or {})).experiment
+
+
+def templates_of(machine: str) -> tuple[Template, ...]:
+    """The experiments of a machine's plan as tests that a diagnosis may propose: those that hide no effect of their own."""
+    plans = EXPERIMENTS.get(machine, {}).items()
+    return tuple(Template(name, own.controller, own.scenario(0).references) for name, own in plans if not own.effects)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from plants import PLANTS
-from studies.diagnosis import templates_of
+from studies.experiments import templates_of
 from studies.hidden_scores import (
     TESTABLE,
     Bin,
@@ -38,10 +38,11 @@ from studies.hidden_scores import (
 from studies.table import fingerprint, resumed
 from studies.targets import Target, reached, target_table
 from workbench.data import Dataset, Experiment
-from workbench.diagnose.diagnosis import diagnose
-from workbench.diagnose.predictor import predictor
-from workbench.diagnose.recalibrate import recalibrated
-from workbench.diagnose.refit import Model
+from workbench.diagnosis.diagnosis import diagnose
+from workbench.diagnosis.experiments import proposable
+from workbench.diagnosis.predictor import predictor
+from workbench.diagnosis.recalibrate import recalibrated
+from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.provenance import provenance
@@ -206,7 +207,8 @@ def run_case(seed: int, limits: Limits, configuration: str) -> dict[str, Any]:
 def _diagnosed(drawn: Any) -> Any:
     """The diagnosis of a case; what to measure next is an experiment of the machine's plan, or one of the records once more."""
     plant = PLANTS[drawn.machine]
-    return diagnose(plant, drawn.records, drawn.held_out, templates=templates_of(drawn.machine, plant, drawn.records))
+    tests = proposable(plant, templates_of(drawn.machine), drawn.records)
+    return diagnose(plant, drawn.records, drawn.held_out, templates=tests)
 
 
 def _with(records: Dataset, more: Sequence[Experiment]) -> Dataset:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from workbench.diagnose.answer import ROUNDED
+from workbench.diagnosis.answer import ROUNDED
 from workbench.records import field, record
 
 Row = Mapping[str, Any]

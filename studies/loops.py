@@ -23,12 +23,12 @@ from plants import PLANTS
 from studies.experiments import measured
 from studies.rehearsal import Rehearsal, calmest, rehearsal
 from workbench.data import Dataset
-from workbench.identify.lti import LTI
-from workbench.identify.ssm import SSM
+from workbench.identification.lti import LTI
+from workbench.identification.ssm import SSM
 from workbench.lpv import LPVModel
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import record
-from workbench.simulate import Scenario
+from workbench.simulation import Scenario
 
 Say = Callable[[str], None]
 

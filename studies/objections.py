@@ -6,7 +6,7 @@ import numpy as np
 
 from studies.results import Result
 from workbench.data import Dataset
-from workbench.identify.leaks import leaks, too_good
+from workbench.identification.leaks import leaks, too_good
 from workbench.metrics import Score
 
 WORSE = 1.2  # times the free run's error from which on a one-step prediction says that the predictor is wrong

@@ -24,7 +24,7 @@ from studies.stranger_scores import HORIZONS, Row, ratios
 from studies.table import fingerprint, resumed
 from studies.targets import Target, reached, target_table
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.runs import Runner
+from workbench.diagnosis.runs import Runner
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
 from workbench.metrics import fit, rmse

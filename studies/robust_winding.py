@@ -42,7 +42,7 @@ from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
 from workbench.robustness.loop import course_of, driven, machine_with_errors
 from workbench.robustness.margins import Margin, margin
 from workbench.robustness.verdict import Status, Verdict
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 Say = Callable[[str], None]
 

@@ -10,7 +10,7 @@ from workbench.records import RecordError
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.sensitivity import Index, response_surface
-from workbench.sweep import Rows, Sweep
+from workbench.sweeps import Rows, Sweep
 
 SHOWN = 12  # outputs of a page; the others are in its tables
 ERRORS = 20  # of a table

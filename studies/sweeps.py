@@ -12,7 +12,7 @@ from workbench.files import nullable, write_json
 from workbench.provenance import provenance
 from workbench.report.page import write_report
 from workbench.sensitivity import sensitivity
-from workbench.sweep import Factor, Rows, export_csv, export_parquet, load_sweep, read_rows, require_parquet, run_sweep
+from workbench.sweeps import Factor, Rows, export_csv, export_parquet, load_sweep, read_rows, require_parquet, run_sweep
 
 Say = Callable[[str], None]
 

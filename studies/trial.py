@@ -16,7 +16,7 @@ from studies.rehearsal import Rehearsal
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import record
-from workbench.simulate import LeftRangeError, Scenario, simulate
+from workbench.simulation import LeftRangeError, Scenario, simulate
 
 POINTS = 5  # schedule values at which loops are asked how slow they are
 SETTLED = 5.0  # time constants of the slowest pole that a set-point is held

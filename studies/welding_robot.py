@@ -26,7 +26,7 @@ from studies.results import Result, scores_file
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
-from workbench.identify.lti import LTI
+from workbench.identification.lti import LTI
 from workbench.intervals.coverage import SAYS_NOTHING, Coverage, cover, pooled
 from workbench.intervals.model import IntervalModel
 from workbench.intervals.output_error import OutputErrorRegression

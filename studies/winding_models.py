@@ -21,13 +21,13 @@ from studies.envelopes import covered_verdict
 from studies.experiments import measured
 from studies.results import Result, scores_file
 from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
-from workbench.advice import Advice, advice
+from workbench.advice import Advice, advise
 from workbench.data import Channel, Dataset, Experiment
 from workbench.files import write_json
-from workbench.identify.ilm import ILM
-from workbench.identify.lti import LTI
-from workbench.identify.ssm import SSM, Candidate, SSMSweep
-from workbench.identify.subspace import PBSID
+from workbench.identification.ilm import ILM
+from workbench.identification.lti import LTI
+from workbench.identification.ssm import SSM, Candidate, SSMSweep
+from workbench.identification.subspace import PBSID
 from workbench.lpv import LPVModel
 from workbench.metrics import Score, fit, horizon_name, score
 from workbench.provenance import provenance
@@ -36,7 +36,7 @@ from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
-from workbench.simulate import replay
+from workbench.simulation import replay
 from workbench.sources import read
 
 Say = Callable[[str], None]
@@ -215,7 +215,7 @@ def _judge(identified: Identified, records: Records, *, simulated: bool) -> Judg
     edges = np.linspace(*_span(records.held_out), BANDS + 1)
     return Judged(
         _score(identified, records),
-        advice(Dataset(records.all)),
+        advise(Dataset(records.all)),
         edges,
         {name: _band_errors(model, records.held_out, edges) for name, model in identified.models.items()},
         {e.name: _machine_fit(e) for e in records.all} if simulated else None,

@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from studies.calibration import PLANT_FILE
-from studies.calibration import Records as Split
-from studies.diagnosis import page, to_json
-from studies.verdict import sizes as described
+from workbench.answers.answer import Records as Split
+from workbench.answers.calibrate import PLANT_FILE
+from workbench.answers.diagnose import DIAGNOSIS_FILE, DiagnosisResult, to_dict
+from workbench.answers.verdict import sizes as described
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.answer import Cause, Diagnosis, Finding
-from workbench.diagnose.diagnosis import diagnose
-from workbench.diagnose.gains import HORIZONS, SETTLING, errors, on
-from workbench.diagnose.predictor import predictor
-from workbench.diagnose.recalibrate import recalibrated, unknowns
-from workbench.diagnose.refit import Model
-from workbench.diagnose.stages import stages
+from workbench.diagnosis.answer import Cause, Diagnosis, Finding
+from workbench.diagnosis.diagnosis import diagnose
+from workbench.diagnosis.gains import HORIZONS, SETTLING, errors, on
+from workbench.diagnosis.predictor import predictor
+from workbench.diagnosis.recalibrate import recalibrated, unknowns
+from workbench.diagnosis.refit import Model
+from workbench.diagnosis.stages import stages
 from workbench.errors import InputError
 from workbench.files import write_json
-from workbench.identify import LTI
+from workbench.identification import LTI
 from workbench.lpv import LPVModel
 from workbench.physics.extension import extension
 from workbench.physics.identified import identified
@@ -118,8 +118,9 @@ def main(
         named.save(folder / (PLANT_FILE if side is sides[0] else f"{stem}_{PLANT_FILE}"))
     parts = {} if quick else halves((first, second), progress)
     said = " ".join([verdict(sides), *_worst_half(parts)])
-    content = to_json(sides[0].found, folder, source) | {"said": said, "sides": [_side_json(side, folder) for side in sides]}
-    for path in (folder / "diagnosis.json", json):
+    content = to_dict(sides[0].found) | {"extended": str(folder / PLANT_FILE), "said": said}
+    content |= {"sides": [_side_json(side, folder) for side in sides], "provenance": source}
+    for path in (folder / DIAGNOSIS_FILE, json):
         if path:
             write_json(path, content)
     progress("report")
@@ -349,9 +350,9 @@ def _report(sides: list[Side], parts: Halves, said: str, source: dict[str, Any],
         Section("Errors", (*(_error_table(side) for side in sides), *_half_tables(parts))),
     ]
     for side in sides:
-        records = Split(Dataset((side.own,)), Dataset((side.other,)), ())
-        held = records.held_out or records.own
-        own = page(side.plant, side.found, records, stages(side.plant, side.found, records.own, held), source)
+        records = Split(Dataset((side.own,)), Dataset((side.other,)))
+        at = stages(side.plant, side.found, records.own, records.shown)
+        own = DiagnosisResult(side.plant, side.found, records, at).report(source)
         sections += [Section(f"{side.own.name}: {s.title}", s.blocks) for s in own.sections if s.title in SHOWN]
     title = "DaISy winding process: what a linear model gets wrong"
     return Report(title, ("Quick. " if quick else "") + said, (*sections, Section("Provenance", (Provenance(source),))))

@@ -84,7 +84,7 @@ class Feedback:
         return self.p_value < LEVEL or self.law < 1e-4
 
 
-def advice(dataset: Dataset, *, order: int | None = None) -> tuple[Advice, ...]:
+def advise(dataset: Dataset, *, order: int | None = None) -> tuple[Advice, ...]:
     """What to know before these records are used; `order` is the model order asked for, where it is known."""
     found: list[Advice] = []
     for experiment in dataset:

@@ -46,13 +46,17 @@ class Channel:
 
 @record
 class Experiment:
-    """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, the typical step of t."""
+    """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, the typical step of t.
+
+    file: the path that it was read from, "" where it comes from no file.
+    """
 
     name: str
     t: np.ndarray = field("N", unit="s")
     channels: tuple[Channel, ...]
     values: np.ndarray = field("N nc")
     dt: float = field("", unit="s", low=1e-12)
+    file: str = ""
 
     def __post_init__(self):
         names = [channel.name for channel in self.channels]

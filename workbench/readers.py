@@ -15,6 +15,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,7 +145,7 @@ def read_file(path: str | Path, *, inputs: Names = None, outputs: Names = None, 
         raise InputError(
             f"file type {suffix!r} is not known", file=path, mend=f"expected {known}; text with columns can be named .csv"
         )
-    experiment = READERS[suffix](path)
+    experiment = replace(READERS[suffix](path), file=str(path))
     return experiment.with_roles(inputs or (), outputs or (), schedule or ())
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import record
-from workbench.sweep import LEVELS, Rows, Sweep
+from workbench.sweeps import LEVELS, Rows, Sweep
 
 SURE = 0.95
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from studies.jobs import closed_loop, detection, identification, pid_design
-from workbench.sweep import Job, Sweep
+from workbench.sweeps import Job, Sweep
 
 JOBS: dict[str, Callable[[Sweep, Path, Namespace], Job]] = {
     "closed-loop": closed_loop.from_file,

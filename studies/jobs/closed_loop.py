@@ -22,8 +22,8 @@ from workbench.physics.controller import Controller
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
 from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
-from workbench.simulate import LeftRangeError, Scenario, lost_command, simulate, simulate_batch
-from workbench.sweep import Point, StoppedError, Sweep
+from workbench.simulation import LeftRangeError, Scenario, lost_command, simulate, simulate_batch
+from workbench.sweeps import Point, StoppedError, Sweep
 from workbench.toml import Table
 
 FIXED = ("plant", "controller", "run", "noise")

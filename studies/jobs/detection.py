@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
-from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnosis.diagnosis import diagnose
 from workbench.errors import InputError, check_known
 from workbench.records import record
-from workbench.sweep import Point, Sweep
+from workbench.sweeps import Point, Sweep
 from workbench.toml import Table
 
 KNOWN = RECORDING | {"size": Setting(0.0, low=-1e300)}

@@ -11,15 +11,15 @@ import numpy as np
 from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
-from workbench.identify import METHODS
+from workbench.identification import METHODS
 from workbench.intervals.coverage import cover, pooled
 from workbench.intervals.regression import BySchedule, IntervalRegression, OneMode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import fit, score
 from workbench.records import record
-from workbench.simulate import replay
-from workbench.sweep import Point, Sweep
+from workbench.simulation import replay
+from workbench.sweeps import Point, Sweep
 from workbench.toml import Table
 
 INTERVAL = "interval"

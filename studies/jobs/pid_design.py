@@ -12,11 +12,11 @@ from controllers.tuning import DEFAULT, Bounds
 from studies.jobs.closed_loop import run_of, score_units, scores, single_run
 from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
 from workbench.errors import InputError, check_known
-from workbench.identify.lti import LTI
-from workbench.identify.ssm import SSM
+from workbench.identification.lti import LTI
+from workbench.identification.ssm import SSM
 from workbench.records import record
 from workbench.robustness.limits import Manoeuvre
-from workbench.sweep import Point, Sweep
+from workbench.sweeps import Point, Sweep
 from workbench.toml import Table
 
 KNOWN = RECORDING | {

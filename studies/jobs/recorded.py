@@ -14,7 +14,7 @@ from workbench.data import Dataset, Experiment
 from workbench.errors import InputError, check_known
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import field, record
-from workbench.sweep import Factor, Point
+from workbench.sweeps import Factor, Point
 from workbench.toml import Table
 
 Value = float | str

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from plants import WEB_WINDING
 from studies.experiments import plan
-from workbench.simulate import simulate, simulate_batch
+from workbench.simulation import simulate, simulate_batch
 
 pytestmark = pytest.mark.bench
 
@@ -106,7 +106,7 @@ def test_sixteen_loops_side_by_side():
 
 CHILD = """
 import os, time
-from workbench.simulate import simulate
+from workbench.simulation import simulate
 from plants import WEB_WINDING
 from studies.experiments import plan
 todo = plan("web-winding", "prbs1")

@@ -12,9 +12,9 @@ import pytest
 from plants import WEB_WINDING
 from studies.experiments import EXPERIMENTS
 from workbench.data import Dataset
-from workbench.identify.sparse import L2, LInf
-from workbench.identify.ssm import SSM, RawSignals, UnitColumns, _Problem
-from workbench.simulate import simulate
+from workbench.identification.sparse import L2, LInf
+from workbench.identification.ssm import SSM, RawSignals, UnitColumns, _Problem
+from workbench.simulation import simulate
 
 pytestmark = pytest.mark.bench
 

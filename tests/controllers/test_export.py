@@ -22,7 +22,7 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.lpv import Gaussian, PiecewiseLinear, Powers
-from workbench.simulate import simulate
+from workbench.simulation import simulate
 
 UNITS = {"V1": "V", "V2": "V", "w3": "rad/s", "theta": "deg", "r2": "m"}
 FREE, AT_LOW, AT_HIGH, AT_RATE = range(4)

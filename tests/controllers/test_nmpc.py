@@ -18,7 +18,7 @@ from controllers.receding import Status, Weights
 from plants import WEB_WINDING, WELDING_ROBOT
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 
 def flat(values) -> np.ndarray:

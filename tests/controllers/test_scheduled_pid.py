@@ -17,7 +17,7 @@ from workbench.lpv import PiecewiseLinear, Powers
 from workbench.physics import stepper
 from workbench.physics.plant import Plant, Start
 from workbench.records import RecordError
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 DT = 0.04
 NAMES = (("V2", "V1"), ("w3", "theta"), ("w3_set", "theta_set"))

@@ -15,7 +15,7 @@ from tests.hidden.drawn import Programme
 from workbench.errors import InputError
 from workbench.excitation import staircase
 from workbench.physics.controller import Playback
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 KEYS = [(module, f"{effect}@{place}") for module in MACHINES.values() for place, ids in module.PLACES.items() for effect in ids]
 QUIET: dict[str, np.ndarray] = {}

@@ -9,7 +9,7 @@ import plants
 from plants import PLANTS
 from workbench.physics.controller import Playback
 from workbench.physics.effects.effect import Named
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 
 @pytest.fixture(params=PLANTS.values(), ids=PLANTS)

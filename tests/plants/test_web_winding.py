@@ -9,7 +9,7 @@ from scipy.integrate import cumulative_simpson
 from plants.web_winding import WEB_WINDING as PLANT
 from plants.web_winding import equation
 from workbench.physics.controller import Playback
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 P = {p.name: p.value for p in PLANT.parameters}
 

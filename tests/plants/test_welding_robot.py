@@ -12,7 +12,7 @@ from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.effects.robot import Robot
-from workbench.simulate import Scenario, replay, simulate
+from workbench.simulation import Scenario, replay, simulate
 
 M1, M2, C, B1, B2 = ROBOT.nominal
 N, DT = 300, 0.020

@@ -7,7 +7,7 @@ from tests.hidden.catalogue import Hidden
 from tests.strangers.case import HELD_OUT, RECORDS, _Bench, setting
 from tests.strangers.registry import MACHINES
 from workbench.data import Dataset
-from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnosis.diagnosis import diagnose
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tests.strangers.case import _Bench, _hidden, _tried, course, draw, keys_of,
 from tests.strangers.registry import _MODULES, MACHINES
 from tests.strangers.yardstick import Tried, _repeated
 from workbench.physics.controller import Playback
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 NAMES = list(MACHINES)
 

@@ -5,7 +5,7 @@ import pytest
 
 from studies.bounded import bounded, cover_bounded
 from workbench.data import Dataset, Experiment
-from workbench.identify.lti import LTI
+from workbench.identification.lti import LTI
 
 
 def machine(name, seed, size=1.0, N=300):

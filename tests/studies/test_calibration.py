@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from studies.calibration import parse_bounds
 from studies.cli import main
+from studies.commands.calibrate import parse_bounds
 from workbench.errors import InputError
 from workbench.readers import read_file, write_csv
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from plants import PLANTS
-from studies.catalogue import DOCS, PAGES, entries, equation
+from studies.catalogue import DOCS, PAGES, entries
 from studies.cli import main
 from workbench.data import Channel
 from workbench.physics.effects import EFFECTS
@@ -22,7 +22,7 @@ def test_the_page_of_effects_holds_every_effect_with_equation_cause_units_and_wh
     page = PAGES["effects.md"]()
     for effect in EFFECTS.values():
         (own,) = [part for part in page.split("### ") if part.startswith(f"{effect.id}\n")]
-        assert f"`{equation(effect)}`" in own
+        assert f"`{effect.stated}`" in own
         assert effect.sentence.format(place="PLACE") in own
         assert effect.separates in own
         for p in effect.parameters:

@@ -9,7 +9,7 @@ from controllers.files import save_controller
 from controllers.pid import pid
 from studies.cli import main
 from workbench.data import Dataset
-from workbench.identify.lti import LTI
+from workbench.identification.lti import LTI
 from workbench.readers import read_file
 
 LIMITS = """

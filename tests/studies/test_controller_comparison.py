@@ -16,7 +16,7 @@ from studies.experiments import web_winding_loops
 from studies.loops import HEAVY, Bench, Case, benches
 from studies.table import made, whole_rows
 from workbench.errors import InputError
-from workbench.simulate import LeftRangeError, simulate
+from workbench.simulation import LeftRangeError, simulate
 
 N = 250
 LAWS_OF_ROBOT = ("PID", "robust PID", "MPC", "NMPC")

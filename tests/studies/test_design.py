@@ -18,9 +18,9 @@ from studies.design import _limits, _step
 from studies.experiments import plan, web_winding_loops
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
-from workbench.identify.ssm import SSM
+from workbench.identification.ssm import SSM
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, load_model
-from workbench.simulate import simulate
+from workbench.simulation import simulate
 
 
 def turning_model() -> LPVModel:

@@ -1,9 +1,7 @@
 """The command `diagnose` around an answer made by hand: what is said first, what is written, what the page shows."""
 
 import json
-import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +9,9 @@ import pytest
 from plants import PLANTS
 from studies.cli import main
 from studies.experiments import plan
-from studies.verdict import HEADLINES, next_step, sentences, verdict
+from workbench.answers.verdict import HEADLINES, next_step, sentences, verdict
 from workbench.data import Dataset
-from workbench.diagnose.answer import (
+from workbench.diagnosis.answer import (
     Cause,
     Diagnosis,
     Estimate,
@@ -25,10 +23,10 @@ from workbench.diagnose.answer import (
     Remainder,
     Untestable,
 )
-from workbench.diagnose.domains import shown
-from workbench.diagnose.stages import StageError
+from workbench.diagnosis.domains import shown
+from workbench.diagnosis.stages import StageError
 from workbench.readers import read_file, write_csv
-from workbench.simulate import simulate
+from workbench.simulation import simulate
 
 ROBOT, AXIS = PLANTS["welding-robot"], PLANTS["positioning-axis"]
 HIDDEN = {"coulomb@rail": {"level": 0.3, "width": 0.02}}
@@ -103,7 +101,7 @@ def diagnosed(monkeypatch):
             )
             return given
 
-        monkeypatch.setitem(sys.modules, "workbench.diagnose.diagnosis", SimpleNamespace(diagnose=diagnose))
+        monkeypatch.setattr("workbench.answers.diagnose.searched", diagnose)
         return asked
 
     return use

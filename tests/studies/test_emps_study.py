@@ -11,12 +11,12 @@ from plants import POSITIONING_AXIS
 from studies import STUDIES, emps
 from studies.cli import main
 from workbench.data import Dataset, Experiment
-from workbench.diagnose.diagnosis import diagnose
-from workbench.diagnose.predictor import predictor
-from workbench.diagnose.recalibrate import recalibrated, unknowns
-from workbench.diagnose.refit import Model
+from workbench.diagnosis.diagnosis import diagnose
+from workbench.diagnosis.predictor import predictor
+from workbench.diagnosis.recalibrate import recalibrated, unknowns
+from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
-from workbench.simulate import replay
+from workbench.simulation import replay
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "emps"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="measured data not here: expected ../shared/data/emps")

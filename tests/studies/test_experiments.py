@@ -10,7 +10,7 @@ from workbench.errors import InputError
 from workbench.excitation import prbs
 from workbench.physics.controller import Playback
 from workbench.readers import read_file
-from workbench.simulate import Scenario, simulate, simulate_batch
+from workbench.simulation import Scenario, simulate, simulate_batch
 
 
 def test_before_the_first_sample_the_equilibrium_input_was_held():

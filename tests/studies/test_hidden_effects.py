@@ -27,10 +27,10 @@ from studies.hidden_scores import (
 )
 from tests.hidden.catalogue import Hidden
 from workbench.data import Dataset, Experiment
-from workbench.diagnose.answer import Limit
-from workbench.diagnose.fit import gauss_newton, term
-from workbench.diagnose.predictor import predictor
-from workbench.diagnose.recalibrate import recalibrated, unknowns
+from workbench.diagnosis.answer import Limit
+from workbench.diagnosis.fit import gauss_newton, term
+from workbench.diagnosis.predictor import predictor
+from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.errors import InputError
 
 COULOMB, OFFSET, DELAY, LAG = "coulomb@rail", "offset@u", "input-delay@u", "sensor-lag@v"

@@ -17,16 +17,16 @@ from studies.jobs.identification import Identification
 from studies.jobs.pid_design import DesignedLoop
 from studies.jobs.recorded import Recorded
 from workbench.data import Dataset
-from workbench.diagnose.answer import Cause, Diagnosis, Estimate, Evidence, Finding, Limit
+from workbench.diagnosis.answer import Cause, Diagnosis, Estimate, Evidence, Finding, Limit
 from workbench.errors import InputError
-from workbench.identify.lti import LTI
+from workbench.identification.lti import LTI
 from workbench.intervals.regression import IntervalRegression
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import fit
 from workbench.robustness.limits import Manoeuvre
-from workbench.simulate import replay, simulate
-from workbench.sweep import Point, load_sweep, read_rows
+from workbench.simulation import replay, simulate
+from workbench.sweeps import Point, load_sweep, read_rows
 
 WINDING, ROBOT = PLANTS["web-winding"], PLANTS["welding-robot"]
 ROBOT_LOGGED = Recorded("welding-robot", ("prbs", "rbs"), ("u",), ("v",))

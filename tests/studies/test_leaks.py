@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from studies.cli import main
 from workbench.data import Dataset, Experiment
-from workbench.identify.leaks import leaks
+from workbench.identification.leaks import leaks
 from workbench.readers import write_csv
 
 

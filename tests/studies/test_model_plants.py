@@ -7,8 +7,8 @@ import pytest
 
 from studies.arguments import choose_plant, find_plant
 from studies.cli import main
-from tests.workbench.diagnose.black_box import MODEL, records
-from tests.workbench.diagnose.test_black_box import LIMIT, limited
+from tests.workbench.diagnosis.black_box import MODEL, records
+from tests.workbench.diagnosis.test_black_box import LIMIT, limited
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.intervals.model import SCHEMA as INTERVAL_MODEL

@@ -14,7 +14,7 @@ from studies.cli import main
 from workbench.errors import InputError
 from workbench.physics.controller import Controller
 from workbench.readers import read_file
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 LAWS = '''
 import numpy as np

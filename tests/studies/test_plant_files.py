@@ -13,7 +13,7 @@ from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.extension import extension
 from workbench.readers import read_file, write_csv
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 AXIS = PLANTS["positioning-axis"]
 FOUND = extension(AXIS, "positioning-axis", {"M": 97.0}, {"coulomb@slide": {"level": 20.0, "width": 0.02}})

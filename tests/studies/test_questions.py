@@ -11,7 +11,7 @@ from studies.question import NOWHERE, Answer, Question, Runs, _lost, study
 from workbench.errors import InputError
 from workbench.files import read_json
 from workbench.report.blocks import Table
-from workbench.sweep import Factor, Rows, Sweep, read_rows
+from workbench.sweeps import Factor, Rows, Sweep, read_rows
 
 QUESTIONS = {
     "pid-bandwidth": pid_bandwidth,

@@ -14,7 +14,7 @@ from studies.robust_winding import asked, main, recorded
 from tests.controllers.test_nmpc import winding
 from workbench.data import Dataset
 from workbench.errors import InputError
-from workbench.identify.ssm import SSM
+from workbench.identification.ssm import SSM
 from workbench.intervals.errors import ErrorRegression
 
 

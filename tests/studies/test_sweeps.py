@@ -19,11 +19,11 @@ from studies.cli import main
 from studies.jobs.closed_loop import ClosedLoop
 from tests.controllers.test_nmpc import winding
 from tests.studies.test_robust_winding import law
-from workbench import sweep as engine
+from workbench import sweeps as engine
 from workbench.errors import InputError
 from workbench.robustness.limits import Manoeuvre
-from workbench.simulate import simulate, simulate_batch
-from workbench.sweep import Factor, Point, StoppedError, Sweep, read_rows, run_sweep
+from workbench.simulation import simulate, simulate_batch
+from workbench.sweeps import Factor, Point, StoppedError, Sweep, read_rows, run_sweep
 
 WINDING = PLANTS["web-winding"]
 FRICTION = "coulomb@unwind:level"

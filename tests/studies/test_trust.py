@@ -81,7 +81,8 @@ def test_a_clock_that_is_put_back_does_not_stop_a_sweep(tmp_path, monkeypatch):
     import time
 
     from tests.workbench.test_sweep import Areas
-    from workbench.sweep import Factor, Sweep, read_rows, run_sweep
+
+    from workbench.sweeps import Factor, Sweep, read_rows, run_sweep
 
     hours = iter(range(10**9, 0, -3600))
     monkeypatch.setattr(time, "time", lambda: next(hours))

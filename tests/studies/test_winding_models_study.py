@@ -98,7 +98,7 @@ def test_frozen_machine_is_the_linearised_plant_sampled_exactly():
     """Against the simulated plant: a small step of V2 around equilibrium with the radii (nearly) still."""
     from plants import WEB_WINDING
     from workbench.physics.controller import Playback
-    from workbench.simulate import Scenario, simulate
+    from workbench.simulation import Scenario, simulate
 
     r2 = 0.018
     r1 = np.sqrt(0.0264**2 + 0.011**2 - r2**2)

@@ -11,10 +11,10 @@ from studies import STUDIES
 from studies import winding_records as study
 from studies.cli import main
 from workbench.data import Experiment
-from workbench.diagnose.answer import Cause, Diagnosis, Estimate, Evidence, Finding, Limit
+from workbench.diagnosis.answer import Cause, Diagnosis, Estimate, Evidence, Finding, Limit
 from workbench.errors import InputError
 from workbench.physics.identified import identified
-from workbench.simulate import replay
+from workbench.simulation import replay
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "winding_daisy"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="measured data not here: expected ../shared/data/winding_daisy")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import chirp, lfilter
 
-from workbench.advice import advice, feedback, quantum
+from workbench.advice import advise, feedback, quantum
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.readers import read_file
@@ -160,7 +160,7 @@ def test_benchmarks_that_were_run_open_are_not_called_closed(file, u, y):
 
 def kinds(*records: Experiment, order: int | None = None) -> dict[str, str]:
     """Channel by kind of advice."""
-    return {found.kind: found.channel for found in advice(Dataset(records), order=order)}
+    return {found.kind: found.channel for found in advise(Dataset(records), order=order)}
 
 
 def made(y: np.ndarray, unit: str = "", u: np.ndarray | None = None, **schedule: np.ndarray) -> Experiment:
@@ -175,7 +175,7 @@ SINE = np.sin(np.arange(1000) / 30.0)
 
 
 def test_a_good_record_gets_no_advice():
-    assert not advice(Dataset((run(3, 0.0),)), order=4)
+    assert not advise(Dataset((run(3, 0.0),)), order=4)
 
 
 def test_constant_channels_are_named():
@@ -210,7 +210,7 @@ def test_single_samples_that_stand_out_are_outliers_and_steps_are_not():
 
 
 def test_implausible_magnitudes_suggest_the_unit():
-    (found,) = [a for a in advice(Dataset((made(100 + NOISE, "m"),))) if a.kind == "magnitude"]
+    (found,) = [a for a in advise(Dataset((made(100 + NOISE, "m"),))) if a.kind == "magnitude"]
     assert "is it in mm?" in found.sentence
     assert found.severity == "note"
     assert "magnitude" not in kinds(made(1 + 0.1 * NOISE, "m"))
@@ -225,7 +225,7 @@ def test_jitter_and_faults_of_the_stamps():
     assert "jitter" not in kinds(stamped(t + 0.004 * (np.arange(100) % 2)))
     assert kinds(stamped(t + 0.05 * (np.arange(100) % 2)))["jitter"] == "t"
     for fault, bad in (("gap", t + 5.0 * (t > 50)), ("repeated", t - (t > 50)), ("backwards", t - 3.0 * (t > 50))):
-        sentences = [a.sentence for a in advice(Dataset((stamped(bad),))) if a.kind == "stamps"]
+        sentences = [a.sentence for a in advise(Dataset((stamped(bad),))) if a.kind == "stamps"]
         assert len(sentences) == 1
         assert fault in sentences[0]
 
@@ -251,8 +251,8 @@ def test_too_short_depends_on_the_order_asked():
 
 def test_the_span_of_the_schedule_is_that_of_all_records():
     low, high = made(NOISE, r2=np.linspace(0.05, 0.07, 1000)), made(2 * NOISE, r2=np.linspace(0.1, 0.12, 1000))
-    (found,) = [a for a in advice(Dataset((low, high))) if a.kind == "schedule-span"]
+    (found,) = [a for a in advise(Dataset((low, high))) if a.kind == "schedule-span"]
     assert "from 0.05 to 0.12" in found.sentence
     assert found.severity == "note"
-    (still,) = [a for a in advice(Dataset((made(NOISE, r2=0.1 + 1e-6 * NOISE),))) if a.kind == "schedule-span"]
+    (still,) = [a for a in advise(Dataset((made(NOISE, r2=0.1 + 1e-6 * NOISE),))) if a.kind == "schedule-span"]
     assert still.severity == "warning"

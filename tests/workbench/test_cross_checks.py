@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from workbench.data import Channel, Dataset, Experiment
-from workbench.identify.ssm import SSM
+from workbench.identification.ssm import SSM
 from workbench.lpv import CONSTANT, Gaussian, LPVModel, OperatingPoint, Powers, Term, load_model
 from workbench.physics.controller import Playback
 from workbench.physics.effects.effect import Port
 from workbench.physics.plant import Plant
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 
 def records(seed, N=500):

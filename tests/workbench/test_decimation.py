@@ -40,7 +40,7 @@ def test_records_of_a_usual_rate_stay_as_they_are(dt, hold):
 
 def test_the_machines_of_the_workbench_stay_as_they_are():
     from studies.experiments import EXPERIMENTS, plan
-    from workbench.simulate import simulate
+    from workbench.simulation import simulate
 
     for name in ("welding-robot", "web-winding"):
         for experiment in EXPERIMENTS[name]:
@@ -70,7 +70,7 @@ def test_the_user_chooses():
 
 def test_a_thinned_record_gives_the_same_machine():
     """The pole of the discrete model is that of the slow machine, which at 1 kHz would drown in noise."""
-    from workbench.identify import METHODS
+    from workbench.identification import METHODS
 
     after, _ = thinned(Dataset((slow(0.001, 120.0),)))
     model = METHODS["lti"](order=1).fit(after)

@@ -257,7 +257,7 @@ def test_another_sample_time_and_unknown_channels_are_refused():
 def test_predictions_do_not_depend_on_how_a_record_is_cut_into_chunks(monkeypatch, steps):
     """Long records go through in pieces: every row is the same as in one piece."""
     from workbench import lpv
-    from workbench.identify.ssm import SSM
+    from workbench.identification.ssm import SSM
 
     random = np.random.default_rng(3)
     N = 150

@@ -8,13 +8,13 @@ import pytest
 from plants import POSITIONING_AXIS
 from studies.real_plants import KUKA_KR300
 from workbench.data import Dataset, Experiment
-from workbench.diagnose.diagnosis import diagnose
-from workbench.identify import METHODS
-from workbench.identify.selection import choose
+from workbench.diagnosis.diagnosis import diagnose
+from workbench.identification import METHODS
+from workbench.identification.selection import choose
 from workbench.intervals.regression import IntervalRegression
 from workbench.metrics import fit, score
 from workbench.readers import read_file
-from workbench.simulate import replay
+from workbench.simulation import replay
 from workbench.sources import read
 
 DATA = Path(__file__).parents[3] / "shared" / "data"

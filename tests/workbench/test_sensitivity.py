@@ -7,7 +7,7 @@ import pytest
 
 from workbench.errors import InputError
 from workbench.sensitivity import Index, response_surface, sensitivity
-from workbench.sweep import Factor, Rows, Sweep, load_sweep
+from workbench.sweeps import Factor, Rows, Sweep, load_sweep
 
 A, B = 7.0, 0.1
 

@@ -3,6 +3,7 @@
 Report("Web winding machine", "SSM names ...", (Section("Models", (picture, table)),))
 """
 
+import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -46,6 +47,10 @@ class Picture:
     caption: str
     data: Data
     alt: str = ""
+
+    def _repr_html_(self) -> str:
+        """As a notebook shows it."""
+        return f"<figure>{self.figure_svg}<figcaption>{html.escape(self.caption)}</figcaption></figure>"
 
 
 @record

@@ -30,7 +30,7 @@ from workbench.physics.controller import Controller, Stepped
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import RecordError, field, record
 from workbench.robustness.limits import BOUNDS, RANGE, Excess, Limit, resolved, setpoint_of
-from workbench.simulate import LeftRangeError, Run, Scenario, simulate, simulate_batch
+from workbench.simulation import LeftRangeError, Run, Scenario, simulate, simulate_batch
 
 Say = Callable[[str], None]
 

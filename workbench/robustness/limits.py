@@ -21,7 +21,7 @@ from workbench.errors import InputError, check_known
 from workbench.physics.controller import Loop
 from workbench.physics.plant import Plant
 from workbench.records import field, record
-from workbench.simulate import Scenario
+from workbench.simulation import Scenario
 from workbench.toml import Table, kind, read_toml
 
 BOUNDS = ("low", "high", "rate", "settling")

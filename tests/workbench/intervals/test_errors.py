@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.identify.lti import LTI
+from workbench.identification.lti import LTI
 from workbench.intervals.errors import ERROR_OF, ErrorRegression, one_step_errors, open_box
 from workbench.intervals.model import load_interval_model
 from workbench.intervals.regressors import FIR, samples

@@ -15,7 +15,7 @@ from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Na
 from workbench.physics.effects.shaft import Shaft, Slide
 from workbench.physics.effects.span import Span
 from workbench.physics.plant import Parameter, Plant
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 DT = 0.02
 

@@ -10,7 +10,7 @@ from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.effects import EFFECTS
 from workbench.physics.effects.effect import GridUnit
-from workbench.simulate import Scenario, simulate_batch
+from workbench.simulation import Scenario, simulate_batch
 
 # a size of each effect that a technician would notice, in units of the machine: torque or force, command
 FORCE = {"web-winding": 2e-3, "welding-robot": 0.3, "positioning-axis": 5.0}

@@ -11,7 +11,7 @@ from plants import PLANTS, WEB_WINDING
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.extension import extension, load_extension
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 AXIS = PLANTS["positioning-axis"]
 FOUND = extension(

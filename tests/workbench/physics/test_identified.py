@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.workbench.diagnose.black_box import DT, MODEL, PLANT, V1, V2, R, W, records
+from tests.workbench.diagnosis.black_box import DT, MODEL, PLANT, V1, V2, R, W, records
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.predictor import Noise, predictor
+from workbench.diagnosis.predictor import Noise, predictor
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, Gaussian, LPVModel, OperatingPoint, PiecewiseLinear, Powers, Term, constant_model
 from workbench.physics.controller import Playback
 from workbench.physics.extension import extension, load_extension
 from workbench.physics.identified import identified
-from workbench.simulate import replay, simulate
+from workbench.simulation import replay, simulate
 
 RECORD = records(1, count=1).experiments[0]
 BASES = [
@@ -196,7 +196,7 @@ def test_a_record_of_another_sample_time_is_refused():
 
 
 def test_a_controller_that_reads_the_outputs_is_refused():
-    from workbench.simulate import Scenario
+    from workbench.simulation import Scenario
 
     class Feedback(Playback):
         pass

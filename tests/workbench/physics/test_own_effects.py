@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 
 from plants import PLANTS, WEB_WINDING, WELDING_ROBOT
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnose.answer import Finding
-from workbench.diagnose.diagnosis import diagnose
+from workbench.diagnosis.answer import Finding
+from workbench.diagnosis.diagnosis import diagnose
 from workbench.errors import InputError
 from workbench.physics import stepper
 from workbench.physics.controller import Playback
@@ -24,7 +24,7 @@ from workbench.physics.effects.winding import Winding
 from workbench.physics.kernel import SCALAR
 from workbench.physics.own_effects import check_own
 from workbench.physics.plant import Parameter, Plant
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 
 def size(name="size", unit="1", **more):

@@ -6,7 +6,7 @@ import pytest
 from workbench import Channel, Parameter, Plant, Start
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 
 def plant(equation, states, start, *, inputs=("u",), **options):

@@ -16,7 +16,7 @@ from workbench.physics import kernel
 from workbench.physics.controller import Playback
 from workbench.physics.effects.shaft import Shaft
 from workbench.physics.plant import Plant
-from workbench.simulate import Scenario, replay, simulate, simulate_batch
+from workbench.simulation import Scenario, replay, simulate, simulate_batch
 
 LOOPS = web_winding_loops()
 

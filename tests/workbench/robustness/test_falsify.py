@@ -17,7 +17,7 @@ from workbench.physics.plant import Parameter, Plant, Start
 from workbench.robustness import falsify
 from workbench.robustness.falsify import Dimension, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre
-from workbench.simulate import Scenario, simulate
+from workbench.simulation import Scenario, simulate
 
 # ---- worst cases in closed form -------------------------------------------------------------------------
 #

@@ -3,6 +3,7 @@
 The same object is truth when a plant switches it on and an explanation when a diagnosis offers it.
 """
 
+import re
 from collections.abc import Callable
 from enum import Enum
 from typing import Any, ClassVar
@@ -134,6 +135,11 @@ class Effect:
         """The parameters that are neutral at 0."""
         return tuple(p for p in self.parameters if not p.shape)
 
+    @property
+    def stated(self) -> str:
+        """The equation; of an effect with a phase also what its amplitude is, which a diagnosis states."""
+        return f"{self.equation}, amplitude = sqrt(cosine^2 + sine^2)" if self.phase else self.equation
+
 
 @record
 class Port:
@@ -148,6 +154,11 @@ class Port:
     law = ""  # what the laws of its effects take and return
     memories: ClassVar[float] = 0
     states: ClassVar[bool] = False
+
+    def symbols_of(self, effect: Effect) -> str:
+        """What the symbols in the equation of an effect mean here, with their signs."""
+        words = set(re.findall(r"\w+", effect.equation))
+        return "; ".join(part for part in self.symbols.split("; ") if words & set(part.split(":")[0].split(", ")))
 
     def fits(self, effect: Effect) -> bool:
         """Whether an effect of the family makes sense at this port."""

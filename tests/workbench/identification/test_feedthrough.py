@@ -1,0 +1,79 @@
+"""Feed-through is found where there is one, and not where a controller answers noise within the sample."""
+
+import numpy as np
+import pytest
+
+from workbench.data import Dataset, Experiment
+from workbench.identification.feedthrough import acts_at_once
+from workbench.identification.lti import LTI
+from workbench.identification.ssm import SSM
+from workbench.lpv import Powers
+
+
+def experiment(seed, D, *, feedback=0.0, logged=False, noise=0.1, N=1500, schedule=False):
+    """x+ = 0.8 x + u, y = p x + D u + noise, u = r - feedback y (the measured one, within the sample)."""
+    random = np.random.default_rng(seed)
+    r = np.repeat(random.normal(size=N // 3), 3) + 0.3 * random.normal(size=N)
+    x, u, y = 0.0, np.zeros(N), np.zeros(N)
+    p = 1 + 0.3 * np.sin(np.arange(N) / 200) if schedule else np.ones(N)
+    for k in range(N):
+        e = noise * random.normal()
+        # y = p x + D u + e and u = r - feedback y, solved for u
+        u[k] = (r[k] - feedback * (p[k] * x + e)) / (1 + feedback * D)
+        y[k] = p[k] * x + D * u[k] + e
+        x = 0.8 * x + u[k]
+    return Experiment.from_arrays(
+        f"seed{seed}", 0.1, inputs={"u": u}, outputs={"y": y}, references={"y_set": r} if logged else {},
+        schedule={"p": p} if schedule else {},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_open_loop_with_and_without_feedthrough(seed):
+    assert acts_at_once(Dataset((experiment(seed, 2.0),)))
+    assert not acts_at_once(Dataset((experiment(seed, 0.0),)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_controller_that_answers_noise_is_no_feedthrough(seed):
+    assert not acts_at_once(Dataset((experiment(seed, 0.0, feedback=0.3, noise=0.5),)))
+    assert not acts_at_once(Dataset((experiment(seed, 0.0, feedback=0.5, noise=1.5, logged=True),)))
+
+
+def test_lti_and_ssm_find_the_direct_gain():
+    data = Dataset((experiment(1, 2.0, noise=0.01),))
+    for method in (LTI(), SSM(orders=(1, 2, 3))):
+        model = method.fit(data)
+        assert model.freeze(0.0)[3] == pytest.approx(2.0, abs=0.02)
+        # DC gain 1/(1 - 0.8) + 2 and the pole
+        G = model.to_control()
+        assert G.dcgain() == pytest.approx(7.0, rel=0.01)
+        assert np.abs(G.poles()).max() == pytest.approx(0.8, abs=0.01)
+
+
+def test_scheduled_ssm_with_feedthrough_realises_its_recursion():
+    """Noise-free: the model's free run is the record, so that the products a_i D in B stand where they belong."""
+    data = Dataset((experiment(2, 1.5, noise=0.0, schedule=True),))
+    model = SSM(order=2, basis=Powers((0.0, 1.0, 2.0, -1.0)), mu_factor=1.0001, feedthrough=True).fit(data)
+    e = data.experiments[0]
+    assert model.freeze(1.0)[3] == pytest.approx(1.5, abs=0.05)
+    error = model.simulate(e)[5:, 0] - e["y"][5:]
+    assert np.std(error) < 0.05 * np.std(e["y"])
+    one_step = model.predict(e)[5:, 0] - e["y"][5:]
+    assert np.std(one_step) < 0.03 * np.std(e["y"])
+
+
+def test_a_record_too_short_to_tell_has_none():
+    assert not acts_at_once(Dataset((experiment(1, 2.0, N=12),)))
+
+
+def test_in_closed_loop_without_set_points_a_small_gain_is_not_enough(monkeypatch):
+    """Between 2 and 10 points of FIT: open loop says feed-through, feedback says noise in the inputs."""
+    from workbench.identification import feedthrough
+
+    data = Dataset((experiment(3, 2.0),))
+    monkeypatch.setattr(feedthrough, "_free_run_fit", lambda _, __, first: 60.0 if first else 65.0)
+    for closed, expected in ((False, True), (True, False)):
+        found = type("Found", (), {"detected": closed})()
+        monkeypatch.setattr(feedthrough, "feedback", lambda _, found=found: found)
+        assert acts_at_once(data) is expected

@@ -1,0 +1,119 @@
+"""What every answer can do: say itself in a few lines, draw its page, and be written into a folder."""
+
+import html
+import textwrap
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from workbench.data import Dataset, check_held_out
+from workbench.decimation import thinned
+from workbench.diagnosis.check import check
+from workbench.errors import InputError
+from workbench.physics.plant import Plant
+from workbench.provenance import provenance
+from workbench.records import record
+from workbench.report.blocks import Picture, Report, Text
+
+Progress = Callable[[str], None]
+
+WIDTH = 110  # characters of a line
+SHOWN = 12  # lines
+
+
+class NotHandedOutError(InputError):
+    """An answer that the referee does not hand out: on held-out records it is worse than what it replaces."""
+
+
+class Answer(ABC):
+    """The answer of a verb. In a notebook it shows its sentences and its first picture."""
+
+    @property
+    @abstractmethod
+    def sentences(self) -> list[str]:
+        """The answer in words, what matters most first."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Every number of the answer in plain types: the JSON that `save` writes, provenance apart."""
+
+    @abstractmethod
+    def report(self, source: Mapping[str, Any] | None = None) -> Report:
+        """The page; source: where the numbers come from, by default the records and the versions."""
+
+    @abstractmethod
+    def save(self, folder: str | Path) -> Path:
+        """Write the JSON, the page and whatever else goes on from here into a folder; returns the folder."""
+
+    def said(self) -> str:
+        """The first sentences in lines of readable width."""
+        lines = [line for sentence in self.sentences for line in textwrap.wrap(sentence, WIDTH, subsequent_indent="  ")]
+        return "\n".join([*lines[:SHOWN], *(["..."] if len(lines) > SHOWN else [])])
+
+    def plot(self, title: str = "") -> Picture:
+        """The picture of the page that shows most, or the first whose title begins with `title`; a notebook draws it.
+
+        Raises InputError where there is none.
+        """
+        drawn = [block for section in self.report().sections for block in section.blocks if isinstance(block, Picture)]
+        for picture in drawn:
+            if picture.title.startswith(title):
+                return picture
+        known = "; ".join(picture.title for picture in drawn) or "none"
+        raise InputError(f"no picture {title!r}", mend=f"there is: {known}")
+
+    def _repr_html_(self) -> str:
+        first = next((b for s in self.report().sections for b in s.blocks if isinstance(b, Picture)), None)
+        said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences)
+        return said + (first._repr_html_() if first else "")
+
+
+@record
+class Records:
+    """The records of an answer: what is fitted, what is held out, and what is odd about them, in sentences."""
+
+    own: Dataset
+    held_out: Dataset | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def shown(self) -> Dataset:
+        """The records that errors are told of: held-out ones where there are any."""
+        return self.held_out or self.own
+
+    @property
+    def files(self) -> list[str]:
+        """The files that they came from."""
+        return [e.file for e in (*self.own, *(self.held_out or ())) if e.file]
+
+    def source(self, configuration: Mapping[str, Any]) -> dict[str, Any]:
+        """Where numbers come from: these files, what was asked, versions."""
+        return provenance({**configuration, "records": list(self.own.names)}, self.files)
+
+
+def prepared(plant: Plant, own: Dataset, held_out: Dataset | None, dt: float | None, anyway: bool) -> Records:
+    """Records brought to the plant's sample time where they are much faster, and checked against the plant.
+
+    dt [s]: the sample time to bring them to. Raises InputError for records that cannot be of this plant, unless the user takes
+    them `anyway`, and for held-out records that are among the others.
+    """
+    own, said = thinned(own, dt, plant)
+    if held_out:
+        held_out = thinned(held_out, own.dt if said else dt, plant)[0]
+        check_held_out(own, held_out)
+    notes = [f"{', '.join(own.names)}: {said}"] if said else []
+    notes += [str(note) for note in check(plant, own, anyway=anyway)]
+    notes += [str(note) for note in check(plant, held_out, anyway=anyway)] if held_out else []
+    return Records(own, held_out, tuple(notes))
+
+
+def texts(sentences: Iterable[str]) -> tuple[Text, ...]:
+    """Sentences as a block, or nothing."""
+    text = "\n\n".join(sentences)
+    return (Text(text),) if text else ()
+
+
+def refused(what: str, objections: Sequence[str]) -> NotHandedOutError:
+    """Why an answer is not handed out, and how to take it all the same."""
+    return NotHandedOutError(f"{what} is not handed out: {objections[0]}", mend="accept=True takes it all the same")

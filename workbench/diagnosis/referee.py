@@ -1,0 +1,166 @@
+"""The referee: what a model is worth on records that it has not seen, against the model that it replaces.
+
+    share = 1 - sqrt(sum e_after^2 / sum e_before^2)    by channel and horizon, pooled over the records
+
+One step, one second and the full run ahead. Whether a share is more than noise is told by the differences of squares, summed over
+blocks that are as long as these differences are correlated.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.data import Dataset
+from workbench.diagnosis.answer import Gain
+from workbench.diagnosis.free_run import simulated
+from workbench.diagnosis.gains import HORIZONS, Held, errors_left_out, errors_on, gained
+from workbench.diagnosis.predictor import predictor
+from workbench.diagnosis.recalibrate import recalibrated, unknowns
+from workbench.diagnosis.refit import Model
+from workbench.physics.plant import Plant
+from workbench.records import record
+
+SURE = 2.0  # standard errors
+FEWEST, ROUGH = 6, 0.2  # blocks, below which no standard error is known, and the share that counts there
+FAR = 5.0  # times that an error may be as large as another by chance, however few blocks make it so
+CORRELATED = 0.3  # autocorrelation up to which a block must reach
+LOSS = 0.0025  # share of the error by which a cause may raise it
+BETTER = 0.02  # share of the errors a second and the full run ahead by which a fit to free runs must be better
+NOTICEABLE = 0.02  # the same from which what is handed out is called worse
+
+
+@record
+class Change:
+    """Pooled root mean square error of a channel at a horizon, before and after; sure: the difference is more than noise.
+
+    NaN where the run was lost.
+    """
+
+    channel: str
+    horizon: str
+    unit: str
+    before: float
+    after: float
+    sure: bool
+
+    @property
+    def share(self) -> float:
+        """What was taken off the error, relative to before; -inf where the run is lost now, inf where it was lost before."""
+        if np.isnan(self.before) or np.isnan(self.after):
+            return 0.0 if np.isnan(self.before) and np.isnan(self.after) else (np.inf if np.isnan(self.before) else -np.inf)
+        return 1.0 - self.after / self.before if self.before > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        return f"{self.channel} {self.horizon}: {_said(self.before)} before, {_said(self.after)} after [{self.unit}]"
+
+
+def changes(before: Held, after: Held) -> tuple[Change, ...]:
+    """A change for every channel and horizon."""
+    found = []
+    keys = dict.fromkeys((s.horizon, s.channel, s.unit) for s in before.scores)
+    for horizon, channel, unit in sorted(keys, key=lambda key: HORIZONS.index(key[0])):
+        own = [k for k, s in enumerate(before.scores) if (s.horizon, s.channel) == (horizon, channel)]
+        pairs = [(before.squares[k], after.squares[k]) for k in own]
+        told = [~np.isnan(b) & ~np.isnan(a) for b, a in pairs]
+        pairs = [(b[t], a[t]) for (b, a), t in zip(pairs, told, strict=True) if t.any()]
+        if not pairs:
+            continue
+        old, new = (float(np.sqrt(np.mean(np.concatenate(side)))) for side in zip(*pairs, strict=True))
+        lost = not np.isfinite([old, new]).all()
+        sure = lost or _sure([a - b for b, a in pairs], old, new, round(1.0 / before.dt) if horizon != "one-step" else 1)
+        old, new = (v if np.isfinite(v) else np.nan for v in (old, new))
+        found.append(Change(channel, horizon, unit, old, new, sure))
+    return tuple(found)
+
+
+def _sure(differences: Sequence[np.ndarray], old: float, new: float, least: int) -> bool:
+    """Whether the sum of all differences is beyond SURE standard errors, by blocks, or one error FAR larger than the other.
+
+    A run that leaves its record near the end does so in one block, whose size is its own standard error.
+    """
+    if max(old, new) > FAR * min(old, new):
+        return True
+    length = max(5, least, *(2 * _correlated(d) for d in differences))
+    blocks = np.concatenate([np.add.reduceat(d, np.arange(0, max(1, len(d) - length // 2), length)) for d in differences])
+    if len(blocks) < FEWEST:
+        return abs(new - old) > ROUGH * min(old, new)
+    return bool(abs(blocks.sum()) > SURE * np.sqrt(len(blocks)) * blocks.std(ddof=1))
+
+
+def _correlated(d: np.ndarray) -> int:
+    """Samples up to which a series is correlated."""
+    d = d - d.mean()
+    spectrum = np.abs(np.fft.rfft(d, 2 * len(d))) ** 2
+    auto = np.fft.irfft(spectrum)[: len(d)]
+    below = np.flatnonzero(auto < CORRELATED * auto[0])
+    return int(below[0]) if len(below) else len(d)
+
+
+class Judge:
+    """Models on held-out records, each computed once; where none is held out, on parts of their own that the fit has left out."""
+
+    def __init__(self, dataset: Dataset, held_out: bool):
+        self.dataset, self.held_out, self._known = dataset, held_out, []
+
+    def of(self, model: Model) -> Held:
+        for other, held in self._known:
+            if other is model:
+                return held
+        self._known.append((model, errors_on(model, self.dataset) if self.held_out else errors_left_out(model)))
+        return self._known[-1][1]
+
+    def between(self, before: Model, after: Model) -> tuple[Change, ...]:
+        return changes(self.of(before), self.of(after))
+
+    def gained(self, before: Model, after: Model) -> tuple[Gain, ...]:
+        """The errors of every record."""
+        return gained(self.of(before), self.of(after))
+
+    def surprise(self, before: Model, after: Model) -> float:
+        """How much less likely the records are with the second model than with the first, in -2 log likelihood."""
+        return self.of(after).deviance - self.of(before).deviance
+
+    def longer(self, before: Model, after: Model) -> float:
+        """Errors a second and the full run ahead, after over before: geometric mean over channels."""
+        kept = [max(1.0 - c.share, 1e-9) for c in self.between(before, after) if c.horizon != "one-step"]
+        return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
+
+    def better_ahead(self, model: Model) -> Model:
+        """The model fitted to free runs, where it errs less a second and the full run ahead and more nowhere; else as it is."""
+        runs = simulated(model)
+        if runs is None or self.longer(model, runs) > 1.0 - BETTER or worse(self.between(model, runs)):
+            return model
+        return runs
+
+    def objections(self, what: str, given: Model, model: Model) -> tuple[str, ...]:
+        """A sentence for each channel and horizon where a model is worse than the one that it replaces."""
+        where = "held-out records" if self.held_out else "parts of these records, each left out of the fit in turn"
+        return tuple(
+            f"the {what} plant is worse than the one that it replaces, on {where}: {c}" for c in worse(self.between(given, model))
+        )
+
+
+def as_given(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int = 1) -> Model:
+    """The plant with the parameters that it came with; starts and noise levels are of the records."""
+    at = predictor(plant, dataset, drift=drift, threads=threads)
+    made = recalibrated(at, own=unknowns(at, names=()), rounds=1)
+    return Model(made.predictor, made.fit)
+
+
+def helps(found: Sequence[Change], least: float) -> bool:
+    """Whether some error falls by a share of `least`: one step or one second ahead, or over the full run by more than noise."""
+    return any(c.share >= least and (c.horizon != "full-run" or c.sure) for c in found)
+
+
+def harms(found: Sequence[Change]) -> tuple[Change, ...]:
+    """Errors one step or one second ahead that rise by more than noise; full runs of phases and integrals are noise."""
+    return tuple(c for c in found if c.horizon != "full-run" and c.sure and c.share < -LOSS)
+
+
+def worse(found: Sequence[Change]) -> tuple[Change, ...]:
+    """Errors at any horizon that rise noticeably, by more than noise: the new model is worse there than the one it replaces."""
+    return tuple(c for c in found if c.sure and c.share < -NOTICEABLE)
+
+
+def _said(error: float) -> str:
+    return f"{error:.3g}" if np.isfinite(error) else "a lost run"

@@ -1,0 +1,7 @@
+"""Records -> LPV model, one file per method; METHODS names them for the command line."""
+
+from workbench.identification.ilm import ILM
+from workbench.identification.lti import LTI
+from workbench.identification.ssm import SSM
+
+METHODS: dict[str, type] = {"lti": LTI, "ilm": ILM, "ssm": SSM}
