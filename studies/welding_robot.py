@@ -20,9 +20,16 @@ from scipy.linalg import expm
 from plants import WELDING_ROBOT
 from studies.arguments import record_files, split_estimation
 from studies.bounded import Bounded, bounded, cover_bounded
-from studies.envelopes import described_modes, domain_picture, envelope_pictures, envelope_table, mode_tables, width_picture
 from studies.experiments import CURVES, measured
-from studies.results import Result, scores_file
+from workbench.answers.envelopes import (
+    described_modes,
+    domain_picture,
+    envelope_pictures,
+    envelope_table,
+    mode_tables,
+    width_picture,
+)
+from workbench.answers.scored import ScoredModel, scores_file
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -166,9 +173,9 @@ def main(
     if not data:
         configuration["perturbations"] = {key: dict(sizes) for key, sizes in PERTURBED.items()}
     source = provenance(configuration, records.files, None if data else seed)
-    results = [Result(identified.lti.model, "lti.json", judged.scores, judged.of(identified.lti.name))]
+    results = [ScoredModel(identified.lti.model, "lti.json", judged.scores, judged.of(identified.lti.name))]
     for name, model in identified.models.items():
-        results.append(Result(model, f"{name}.json", tuple(c.nominal for c in judged.of(name)), judged.of(name)))
+        results.append(ScoredModel(model, f"{name}.json", tuple(c.nominal for c in judged.of(name)), judged.of(name)))
     content = scores_file(results, source)
     write_json(folder / "scores.json", content)
     if json:

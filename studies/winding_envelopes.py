@@ -8,7 +8,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from studies.bounded import bounded, cover_bounded
-from studies.envelopes import described_modes, envelope_pictures, envelope_table, mode_pictures, mode_tables, width_picture
+from workbench.answers.envelopes import (
+    described_modes,
+    envelope_pictures,
+    envelope_table,
+    mode_pictures,
+    mode_tables,
+    width_picture,
+)
 from workbench.data import Dataset, Experiment
 from workbench.intervals.coverage import Coverage, cover, pooled
 from workbench.intervals.model import IntervalModel

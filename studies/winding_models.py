@@ -16,12 +16,12 @@ import numpy as np
 
 from plants import WEB_WINDING
 from studies.arguments import record_files, split_estimation
-from studies.comparison import residual_table, traces
-from studies.envelopes import covered_verdict
 from studies.experiments import measured
-from studies.results import Result, scores_file
 from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
 from workbench.advice import Advice, advise
+from workbench.answers.comparison import residual_table, traces
+from workbench.answers.envelopes import covered_verdict
+from workbench.answers.scored import ScoredModel, scores_file
 from workbench.data import Channel, Dataset, Experiment
 from workbench.files import write_json
 from workbench.identification.ilm import ILM
@@ -134,11 +134,11 @@ def main(
     }
     source = provenance(configuration, records.files, None if data else seed)
     results = [
-        Result(model, f"{_file(name)}.json", tuple(s for s in judged.scores if s.model == model.name))
+        ScoredModel(model, f"{_file(name)}.json", tuple(s for s in judged.scores if s.model == model.name))
         for name, model in identified.models.items()
     ]
     results += [
-        Result(model, f"{_file(name)}.json", tuple(c.nominal for c in envelopes.of(name)), envelopes.of(name))
+        ScoredModel(model, f"{_file(name)}.json", tuple(c.nominal for c in envelopes.of(name)), envelopes.of(name))
         for name, model in envelopes.models.items()
     ]
     content = scores_file(results, source)

@@ -5,6 +5,8 @@ from .answers.calibrate import CalibrationResult as CalibrationResult
 from .answers.calibrate import calibrate as calibrate
 from .answers.diagnose import DiagnosisResult as DiagnosisResult
 from .answers.diagnose import diagnose as diagnose
+from .answers.identify import IdentificationResult as IdentificationResult
+from .answers.identify import identify as identify
 from .data import Channel as Channel
 from .data import Dataset as Dataset
 from .data import Experiment as Experiment

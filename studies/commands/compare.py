@@ -6,25 +6,30 @@ from pathlib import Path
 from typing import Any
 
 from studies.arguments import run_folder
-from studies.commands.models import refereed, scores_of, write
-from studies.results import Result
+from studies.commands.models import say_models
 from studies.terminal import say
+from workbench.answers.comparison import comparison
+from workbench.answers.identify import SCORES_FILE, scores_of
+from workbench.answers.objections import refereed
+from workbench.answers.scored import ScoredModel, scores_file
 from workbench.errors import InputError
-from workbench.files import read_json
+from workbench.files import read_json, write_json
+from workbench.intervals.coverage import cover
+from workbench.intervals.model import SCHEMA, IntervalModel, load_interval_model
+from workbench.lpv import load_model
+from workbench.provenance import provenance
 from workbench.readers import check_units
+from workbench.report.page import write_report
+from workbench.residuals import residual_test
 from workbench.sources import read
 
 
 def run(options: Namespace) -> int:
     """Score saved models on records that they never saw and test what is left in their residuals."""
-    from workbench.intervals.coverage import cover
-    from workbench.intervals.model import IntervalModel
-    from workbench.residuals import residual_test
-
     models = _load_models(options.models)
     if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
         models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
-    results: list[Result] = []
+    results: list[ScoredModel] = []
     shown: Any = None  # the records with the roles of the first model
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
@@ -40,25 +45,32 @@ def run(options: Namespace) -> int:
             check_units(experiment, {c.name: c.unit for c in known})
         if isinstance(model, IntervalModel):
             envelopes = cover(model, dataset, "held-out")
-            results.append(Result(model, path, tuple(c.nominal for c in envelopes), envelopes))
+            results.append(ScoredModel(model, path, tuple(c.nominal for c in envelopes), envelopes))
             continue
-        results.append(Result(model, path, scores_of(model, None, dataset, options.horizon)))
+        own, warnings = scores_of(model, None, dataset, options.horizon)
+        results.append(ScoredModel(model, path, own))
+        for warning in warnings:
+            say(warning)
         for experiment in dataset:
             try:
                 say(str(residual_test(model, experiment)))
             except InputError as reason:  # too short a record, or an unstable model: its scores say more
                 say(f"note: no residual test: {reason}")
-    code = refereed(options, results, None, shown)
+    results = refereed(results, None, shown)
+    code = say_models(results, options.accept)
     folder = run_folder(options.out, "compare")
-    write(options, folder, results, {"models": options.models}, shown, options.records)
+    kept = [result if options.accept or not result.against else replace(result, file="") for result in results]
+    source = provenance({"models": options.models}, options.records)
+    content = scores_file(kept, source)
+    for file in filter(None, (folder / SCORES_FILE, options.json)):
+        write_json(file, content)
+    title = f"compare: {', '.join(model.name for model in models)}"
+    say(f"report: {write_report(comparison(title, kept, tuple(shown), source), folder)}")
     return code
 
 
 def _load_models(paths: list[str]) -> list:
     """The models of these files, LPV or interval; a scores file that lies beside them is passed over."""
-    from workbench.intervals.model import SCHEMA, load_interval_model
-    from workbench.lpv import load_model
-
     for path in paths:
         if paths.count(path) > 1:
             raise InputError("is named twice", file=path, mend="name each model once")

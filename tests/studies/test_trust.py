@@ -80,8 +80,7 @@ def test_a_clock_that_is_put_back_does_not_stop_a_sweep(tmp_path, monkeypatch):
     """Durations are not told by the time of day: here it runs backwards, an hour at every look."""
     import time
 
-    from tests.workbench.test_sweep import Areas
-
+    from tests.workbench.test_sweeps import Areas
     from workbench.sweeps import Factor, Sweep, read_rows, run_sweep
 
     hours = iter(range(10**9, 0, -3600))

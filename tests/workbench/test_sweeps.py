@@ -329,7 +329,7 @@ def test_killed_again_and_again(tmp_path, jobs):
 import sys
 sys.path.insert(0, {str(root)!r})
 from pathlib import Path
-from tests.workbench.test_sweep import Areas, MANY
+from tests.workbench.test_sweeps import Areas, MANY
 from workbench.sweeps import run_sweep
 path = Path({str(path)!r})
 run_sweep(MANY, Areas(pause=0.004), path, resume=path.exists(), jobs={jobs})

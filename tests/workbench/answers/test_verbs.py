@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import workbench as wb
@@ -119,6 +120,59 @@ def test_causes_are_a_table(found):
     frame = found.to_frame()
     assert set(frame["effect"]) == {"coulomb"}
     assert bool(frame["sure"].iloc[0])
+
+
+# ---- identify ------------------------------------------------------------------------------------------------------------
+
+ROLES = {"inputs": "u", "outputs": "v"}
+
+
+def test_identify_writes_what_the_command_writes(files, tmp_path):
+    data, held_out = wb.read(files[0], **ROLES), wb.read(files[1], **ROLES)
+    answer = wb.identify(data, held_out, methods={"lti": wb.LTI(order=2), "ssm": wb.SSM(order=2)})
+    answer.save(tmp_path / "verb")
+    words = ["identify", files[0], "--output", "v", "--inputs", "u", "--validate", files[1], "--model", "lti,ssm", "--order", "2"]
+    assert main([*words, "--out", str(tmp_path / "command")]) == 0
+    for name in ("lti.json", "ssm.json"):
+        assert numbers(tmp_path / "verb" / name) == numbers(tmp_path / "command" / name)
+    verb, command = (numbers(tmp_path / side / "scores.json")["models"] for side in ("verb", "command"))
+    assert [own["scores"] for own in verb] == [own["scores"] for own in command]
+    assert [Path(own["file"]).name for own in verb] == ["lti.json", "ssm.json"]
+    with pytest.raises(wb.InputError, match="several models: lti, ssm"):
+        _ = answer.model
+    assert set(answer.models) == {"lti", "ssm"}
+
+
+def test_identify_takes_the_method_that_runs_best_on_what_it_was_not_fitted_to_and_says_so(files):
+    answer = wb.identify(
+        wb.read(files[0], **ROLES), wb.read(files[1], **ROLES), methods={"lti": wb.LTI(2), "ssm": wb.SSM(2)}, best=True
+    )
+    assert answer.choice.method == max(answer.choice.fit, key=answer.choice.fit.get)
+    assert list(answer.models) == [answer.choice.method]
+    assert answer.choice.method in repr(answer)
+    (fit,) = (s.FIT for s in answer.scores if (s.split, s.horizon) == ("held-out", "free-run"))
+    assert fit == pytest.approx(wb.score(answer.model, wb.read(files[1], **ROLES), "held-out", ["free-run"])[0].FIT)
+
+
+def test_a_leaking_model_is_not_handed_out(tmp_path):
+    random = np.random.default_rng(1)
+    u = random.normal(size=600)
+    y = np.append(np.zeros(1), u[:-1]) + 0.1 * random.normal(size=600)
+    data = wb.read({"u": u, "y": y, "copy": y}, inputs=["u", "copy"], outputs="y", dt=0.1)
+    answer = wb.identify(data, methods={"lti": wb.LTI(order=2)})
+    assert not answer.kept
+    with pytest.raises(NotHandedOutError, match="copy"):
+        _ = answer.model
+    answer.save(tmp_path)
+    assert not (tmp_path / "lti.json").exists()
+    assert replace(answer, accepted=True).model.order == 2
+
+
+def test_roles_that_are_missing_are_asked_for_in_both_languages(files):
+    with pytest.raises(wb.InputError, match=r"--output, in Python read\(.., outputs=..\)"):
+        wb.identify(wb.read({"u": np.ones(30), "z": np.ones(30)}, inputs="u", dt=0.1))
+    with pytest.raises(wb.InputError, match="lti"):
+        wb.identify(wb.read(files[0], **ROLES), methods=["lty"])
 
 
 # ---- the public list -----------------------------------------------------------------------------------------------------

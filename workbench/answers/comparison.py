@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from studies.envelopes import covered_verdict, envelope_sections
-from studies.results import Result
+from workbench.answers.envelopes import covered_verdict, envelope_sections
+from workbench.answers.scored import ScoredModel
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.intervals.model import IntervalModel
@@ -62,7 +62,7 @@ def score_table(scores: Sequence[Score]) -> Table:
     )
 
 
-def comparison(title: str, results: Sequence[Result], records: Sequence[Experiment], source: Mapping[str, Any]) -> Report:
+def comparison(title: str, results: Sequence[ScoredModel], records: Sequence[Experiment], source: Mapping[str, Any]) -> Report:
     """A page: which model runs free best on held-out records, then scores, traces on `records`, envelopes, residuals, notes."""
     scores = [s for result in results for s in result.scores]
     named = {result.model.name: result.model for result in results if isinstance(result.model, LPVModel)}

@@ -1,81 +1,23 @@
-"""Interval models on the command line and in reports: which method the options ask for, and what its envelopes show."""
+"""Interval models of every output, what is said of them, and what their envelopes show."""
 
-from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from studies.arguments import numbers
 from workbench.data import Channel, Dataset, Experiment, bad_stamps
-from workbench.errors import InputError, check_known
 from workbench.intervals.coverage import SAYS_NOTHING, Coverage, pooled
 from workbench.intervals.domains import shadow
 from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
 from workbench.intervals.output_error import OutputErrorRegression
-from workbench.intervals.regression import BySchedule, IntervalRegression, InTime, Modes, OneMode
-from workbench.intervals.regressors import ARX, FIR, Structure
-from workbench.intervals.semantics import SEMANTICS, InclusionAll
-from workbench.intervals.splitting import MaximumRadius, MeanRadius
+from workbench.intervals.regression import IntervalRegression
 from workbench.metrics import Horizon, horizon_name
 from workbench.report import figures
 from workbench.report.blocks import Picture, Section, Table, Text
 from workbench.report.figures import Trace
 
 Method = IntervalRegression | OutputErrorRegression
-SIMULATION = "simulation"
-PROMISES = (*SEMANTICS, SIMULATION)
-DEFAULT_ORDER = 2
 RUNAWAY = 10.0  # ranges of the output beyond which an envelope says nothing
-
-
-def interval_method(options: Namespace) -> Method:
-    """The method that --model interval and its options ask for. Raises InputError where they contradict each other."""
-    order = options.order or DEFAULT_ORDER
-    structure: Structure = FIR(options.fir) if options.fir else ARX(order, delta=options.form != "shift")
-    if options.fir and options.order:
-        raise InputError("--fir and --order exclude each other", mend="--fir N is the order of a model without feedback")
-    if options.fir and options.form:
-        raise InputError("--form belongs to models with feedback", mend="leave out --form, or --fir")
-    along_time = {"--shortest": options.shortest, "--tolerance": options.tolerance, "--maximum-radius": options.maximum_radius}
-    for option, value in along_time.items():
-        if value and options.precision is None:
-            raise InputError(f"{option} belongs to modes along time", mend="give --precision P as well")
-    promise = check_known("semantics", options.semantics or InclusionAll.name, PROMISES)
-    if promise == SIMULATION:
-        if options.precision is not None or options.intervals is not None:
-            raise InputError(
-                "simulation boxes have one mode", mend="leave out --precision and --intervals, or --semantics simulation"
-            )
-        if options.input_error is not None:
-            raise InputError("simulation boxes take the inputs as exact", mend="leave out --e-u")
-        return OutputErrorRegression(structure, options.output_error)
-    errors = numbers(options.input_error, "--e-u")
-    one = errors[0] if errors is not None and len(errors) == 1 else errors
-    return IntervalRegression(structure, SEMANTICS[promise](), _partition(options), options.output_error, one)
-
-
-def check_interval_options(options: Namespace) -> None:
-    """Refuse options of interval models where none was asked for."""
-    given = {
-        "--fir": options.fir, "--e-y": options.output_error, "--e-u": options.input_error, "--precision": options.precision,
-        "--shortest": options.shortest, "--tolerance": options.tolerance, "--intervals": options.intervals,
-        "--maximum-radius": options.maximum_radius or None, "--semantics": options.semantics, "--form": options.form,
-    }  # fmt: skip
-    for option, value in given.items():
-        if value is not None:
-            raise InputError(f"{option} belongs to interval models", mend="give --model interval as well")
-
-
-def _partition(options: Namespace) -> Modes:
-    if options.precision is not None and options.intervals is not None:
-        raise InputError("--precision and --intervals exclude each other", mend="modes along time, or by schedule")
-    if options.intervals is not None:
-        return BySchedule(options.intervals)
-    if options.precision is None:
-        return OneMode()
-    criterion = MaximumRadius() if options.maximum_radius else MeanRadius()
-    return InTime(options.precision, options.shortest, criterion, options.tolerance)
 
 
 def fit_outputs(method: Method, dataset: Dataset) -> dict[str, IntervalModel]:
@@ -84,11 +26,6 @@ def fit_outputs(method: Method, dataset: Dataset) -> dict[str, IntervalModel]:
     if len(outputs) == 1:
         return {method.name: method.fit(dataset, outputs[0])}
     return {f"{method.name}-{y}": replace(method, name=f"{method.name}-{y}").fit(dataset, y) for y in outputs}
-
-
-def interval_configuration(method: Method) -> dict[str, object]:
-    """What was asked for, for provenance."""
-    return {"interval": str(method)}
 
 
 # ---- what is said ------------------------------------------------------------------------------------------------------

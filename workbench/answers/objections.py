@@ -1,10 +1,11 @@
 """What the referee has against identified models: leaks, runs that are no better than a record's mean, predictors that lose."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from studies.results import Result
+from workbench.answers.scored import ScoredModel
 from workbench.data import Dataset
 from workbench.identification.leaks import leaks, too_good
 from workbench.metrics import Score
@@ -12,14 +13,14 @@ from workbench.metrics import Score
 WORSE = 1.2  # times the free run's error from which on a one-step prediction says that the predictor is wrong
 
 
-def objections(results: Sequence[Result], estimation: Dataset | None, judged: Dataset) -> tuple[tuple[str, ...], ...]:
-    """Sentences against each model, none where it may be handed out; judged: the records that give the headline."""
+def refereed(results: Sequence[ScoredModel], estimation: Dataset | None, judged: Dataset) -> list[ScoredModel]:
+    """The models with what speaks against each; judged: the records that give the headline."""
     shared = leaks(estimation or judged)
     found = []
     for result in results:
         own = [s for s in result.scores if s.record in judged.names]
-        found.append((*shared, *too_good(tuple(own), judged), *_useless(own)))
-    return tuple(found)
+        found.append(replace(result, against=(*shared, *too_good(tuple(own), judged), *_useless(own))))
+    return found
 
 
 def _useless(scores: Sequence[Score]) -> list[str]:

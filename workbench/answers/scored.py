@@ -11,7 +11,7 @@ from workbench.records import record
 
 
 @record
-class Result:
+class ScoredModel:
     """A model, its file, its scores, and for an interval model its envelopes; against: why it is not handed out, if it is not."""
 
     model: LPVModel | IntervalModel
@@ -21,7 +21,7 @@ class Result:
     against: tuple[str, ...] = ()
 
 
-def scores_file(results: Sequence[Result], source: dict[str, Any]) -> dict[str, Any]:
+def scores_file(results: Sequence[ScoredModel], source: dict[str, Any]) -> dict[str, Any]:
     """The scores file; an interval model's entry holds its "envelopes" besides, and one that was objected to the "against"."""
     content = to_json([(result.model, result.file, result.scores) for result in results], source)
     for entry, result in zip(content["models"], results, strict=True):

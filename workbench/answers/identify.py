@@ -1,0 +1,255 @@
+"""Models from records: the verb, which method it takes and why, scores, the referee, the files and the page.
+
+found = wb.identify(data, held_out)     # the method that runs best on parts of `data` that it was not fitted to
+found.model, found.scores
+found.save("runs/monday")               # ssm.json, scores.json, report.html
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.answers.answer import Answer, Progress, Records, refused
+from workbench.answers.comparison import comparison, score_table
+from workbench.answers.envelopes import Method as IntervalMethod
+from workbench.answers.envelopes import described_modes, fit_outputs
+from workbench.answers.objections import refereed
+from workbench.answers.scored import ScoredModel, scores_file
+from workbench.data import Dataset, check_held_out
+from workbench.decimation import thinned
+from workbench.errors import InputError, check_known
+from workbench.files import write_json
+from workbench.identification import METHODS
+from workbench.identification.selection import Choice, Method, choose
+from workbench.intervals.coverage import cover
+from workbench.intervals.model import IntervalModel
+from workbench.lpv import LPVModel
+from workbench.metrics import Horizon, Score, score
+from workbench.records import record
+from workbench.report.blocks import Report
+from workbench.report.page import write_report
+
+SCORES_FILE = "scores.json"
+MUCH = 0.02  # of the width of a schedule range, by which a record may leave it unsaid
+
+
+def identify(
+    records: Dataset, held_out: Dataset | None = None, *, methods: Mapping[str, Method] | Sequence[str] | None = None,
+    best: bool | None = None, interval: IntervalMethod | None = None, dt: float | None = None, horizon: int = 25,
+    accept: bool = False,
+    progress: Progress = lambda _: None,
+) -> "IdentificationResult":  # fmt: skip
+    """LPV models of the outputs of `records` from their inputs over their schedule, scored on `held_out` records.
+
+    methods: names ("lti", "ilm", "ssm"), or methods by name such as {"ssm": SSM(order=3)}; default all. best: only the one of
+    them that runs best on parts of `records` that it was not fitted to; default where no methods are named, otherwise each is
+    fitted. interval: an interval method that is fitted beside them. dt [s]: sample time to bring the records to. horizon: steps
+    of the k-step prediction that is scored. accept: hand out models that the referee objects to. Raises InputError for records
+    without inputs or outputs, and where no method can be fitted.
+
+        >>> identify(read("a.csv", "b.csv"), read("c.csv")).model                                           # doctest: +SKIP
+    """
+    given = prepared(records, held_out, dt)
+    chosen = methods is None if best is None else best
+    by_name = methods if isinstance(methods, Mapping) else {name: _method(name) for name in methods or METHODS}
+    named = _possible(by_name, given.own, progress)
+    bounded: dict[str, IntervalModel] = {}
+    if interval is not None:  # first, for it refuses most
+        progress("interval: identifying")
+        bounded = fit_outputs(interval, given.own)
+    choice, models, remarks = _fitted(named, given.own, chosen, progress) if named else (None, {}, [])
+    results: list[ScoredModel] = []
+    for name, model in models.items():
+        own, said = scores_of(model, given.own, given.held_out, horizon)
+        remarks += [*_remarks(name, model), *said]
+        results.append(ScoredModel(model, f"{name}.json", own))
+    for name, model in bounded.items():
+        remarks += described_modes(model)
+        held = cover(model, given.held_out, "held-out") if given.held_out else ()
+        envelopes = cover(model, given.own, "estimation") + held
+        results.append(ScoredModel(model, f"{name}.json", tuple(c.nominal for c in envelopes), envelopes))
+    results = refereed(results, given.own, given.shown)
+    return IdentificationResult(tuple(results), given, choice, tuple(remarks), accept)
+
+
+@record
+class IdentificationResult(Answer):
+    """Models with their scores; choice: which method was taken and the free-run FIT of each, where one was to be chosen."""
+
+    results: tuple[ScoredModel, ...]
+    records: Records
+    choice: Choice | None
+    remarks: tuple[str, ...]
+    accepted: bool = False
+
+    @property
+    def kept(self) -> tuple[ScoredModel, ...]:
+        """The models that are handed out."""
+        return tuple(result for result in self.results if self.accepted or not result.against)
+
+    @property
+    def models(self) -> dict[str, LPVModel | IntervalModel]:
+        """The models that are handed out, by name."""
+        return {Path(result.file).stem: result.model for result in self.kept}
+
+    @property
+    def model(self) -> Any:
+        """The model, where there is one.
+
+        Raises NotHandedOutError where the referee objects, InputError where there are several.
+        """
+        kept = self.kept
+        if len(kept) == 0:
+            raise refused("the model", [sentence for result in self.results for sentence in result.against])
+        if len(kept) > 1:
+            raise InputError(f"several models: {', '.join(self.models)}", mend="take one: .models[NAME]")
+        return kept[0].model
+
+    @property
+    def scores(self) -> tuple[Score, ...]:
+        """Scores of all models on all records."""
+        return tuple(s for result in self.results for s in result.scores)
+
+    @property
+    def sentences(self) -> list[str]:
+        """Free-run FIT on held-out records, what the choice rests on, what speaks against a model."""
+        chosen = [f"{_chosen(self.choice)}."] if self.choice else []
+        return [self._page({}).verdict, *chosen]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scores file, provenance apart; a model that is not handed out has no file."""
+        content = scores_file(self._placed(None), {})
+        del content["provenance"]
+        return content
+
+    def to_frame(self) -> Any:
+        """Scores as a pandas table. Raises ImportError without pandas."""
+        import pandas
+
+        table = score_table(self.scores)
+        return pandas.DataFrame(list(table.rows), columns=list(table.header))
+
+    def report(self, source: Mapping[str, Any] | None = None) -> Report:
+        """Scores, measured against simulated outputs, envelopes, residual tests."""
+        return self._page(source or self.records.source({}))
+
+    def save(self, folder: str | Path, *, source: Mapping[str, Any] | None = None) -> Path:
+        """Write every model that is handed out, scores.json and report.html; returns the folder."""
+        folder, source = Path(folder), dict(source or self.records.source({}))
+        for result in self.kept:
+            result.model.save(folder / result.file)
+        write_json(folder / SCORES_FILE, scores_file(self._placed(folder), source))
+        write_report(self._page(source), folder)
+        return folder
+
+    def _placed(self, folder: Path | None) -> list[ScoredModel]:
+        """The results with the paths of their files."""
+        path = (lambda name: name) if folder is None else (lambda name: str(folder / name))
+        return [replace(own, file=path(own.file) if own in self.kept else "") for own in self.results]
+
+    def _page(self, source: Mapping[str, Any]) -> Report:
+        title = f"identify: {', '.join(result.model.name for result in self.results)}"
+        return comparison(title, self.results, tuple(self.records.shown), source)
+
+    def __repr__(self) -> str:
+        return self.said()
+
+
+def scores_of(
+    model: LPVModel, estimation: Dataset | None, held_out: Dataset | None, steps: int
+) -> tuple[tuple[Score, ...], list[str]]:
+    """Free run, one step and `steps` steps ahead; and a warning for each held-out record whose schedule leaves its span."""
+    horizons: tuple[Horizon, ...] = ("free-run", "one-step", steps)
+    warnings: list[str] = []
+    scores = score(model, estimation, "estimation", horizons) if estimation else ()
+    if held_out:
+        scores += score(model, held_out, "held-out", horizons)
+        for e in held_out:
+            if model.schedule and (beyond := model.outside(e[model.schedule.name])) > MUCH:
+                warnings.append(
+                    f"warning: {model.name} on {e.name}: {model.schedule.name} leaves the range the model knows, "
+                    f"{model.span[0]:g} to {model.span[1]:g} {model.schedule.unit}, by {100 * beyond:.0f} % of it; "
+                    "there the model holds its edge value"
+                )
+    return scores, warnings
+
+
+def _method(name: str) -> Method:
+    return METHODS[check_known("method", name, METHODS)]()
+
+
+def prepared(own: Dataset, held_out: Dataset | None, dt: float | None) -> Records:
+    """Records with roles, thinned out where nothing in them moves fast. Raises InputError for what cannot be identified."""
+    own, thinner = thinned(own, dt)
+    check_roles(own)
+    if held_out:
+        held_out = thinned(held_out, own.dt)[0] if thinner else held_out
+        check_held_out(own, held_out)
+    return Records(own, held_out, (f"{', '.join(own.names)}: {thinner}",) if thinner else ())
+
+
+def check_roles(records: Dataset) -> None:
+    """Raises InputError where the records lack an input or an output, or have several schedules."""
+    first = records.experiments[0]
+    for found, role, option in (
+        (first.names_of("input"), "input", "--inputs"),
+        (first.names_of("output"), "output", "--output"),
+    ):
+        if not found:
+            mend = f"give {option}, in Python read(.., {role}s=..)"
+            raise InputError(f"no {role} channel among {', '.join(first.names)}", file=first.name, mend=mend)
+    if len(first.names_of("schedule")) > 1:
+        several = ", ".join(first.names_of("schedule"))
+        mend = "give --schedule one of them, in Python read(.., schedule=..)"
+        raise InputError("several scheduling channels", file=first.name, channel=several, mend=mend)
+
+
+def _possible(methods: Mapping[str, Method], records: Dataset, progress: Progress) -> dict[str, Method]:
+    """Those methods that these records have the channels for: interpolated local models need a schedule."""
+    first = records.experiments[0]
+    if first.names_of("schedule") or "ilm" not in methods:
+        return dict(methods)
+    if len(methods) == 1:
+        mend = "give --schedule, in Python read(.., schedule=..)"
+        raise InputError("ilm needs a scheduling channel", file=first.name, mend=mend)
+    progress("ilm: skipped, it needs a schedule")
+    return {name: method for name, method in methods.items() if name != "ilm"}
+
+
+def _fitted(
+    methods: Mapping[str, Method], records: Dataset, chosen: bool, progress: Progress
+) -> tuple[Choice | None, dict[str, LPVModel], list[str]]:
+    """Every method fitted, or the one that runs best on what it was not fitted to; and which could not be, and why."""
+    if chosen:
+        choice = choose(methods, records, progress=progress)
+        refused_of = [f"warning: no {name} model: {reason}" for name, reason in choice.failed.items()]
+        return choice, {choice.method: choice.model}, [_chosen(choice), *refused_of]
+    models: dict[str, LPVModel] = {}
+    reasons: dict[str, InputError] = {}
+    for name, method in methods.items():
+        progress(f"{name}: identifying")
+        try:
+            models[name] = method.fit(records)
+        except InputError as reason:
+            reasons[name] = reason
+    if not models:
+        raise next(iter(reasons.values()))
+    said = [
+        f"warning: no {name} model: {reason.problem}" + (f"; {reason.mend}" if reason.mend else "")
+        for name, reason in reasons.items()
+    ]
+    return None, models, said
+
+
+def _chosen(choice: Choice) -> str:
+    found = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
+    return f"chosen: {choice.method}; free-run FIT on two fifths of the estimation records that it was not fitted to: {found}"
+
+
+def _remarks(name: str, model: LPVModel) -> list[str]:
+    """What is to be known of a model."""
+    seen = "outputs see the inputs of their own sample, which held commands cannot do (--no-feedthrough)"
+    return [*([f"note: {name}: {seen}"] if np.any(model.D) else []), *(f"note: {name}: {note}" for note in model.notes)]
