@@ -1,138 +1,72 @@
-"""Controllers for other programs, as tables: the gains of a scheduled PID, and the matrices of an MPC over the schedule.
+"""A controller for another program: C99, IEC 61131-3 Structured Text, gains as CSV or JSON, matrices of an MPC as JSON."""
 
-Between rows a program interpolates linearly, outside the table it holds the edge row. Where that is not the law itself, the
-largest difference is stated. As source text a law is written by `code`.
-"""
-
-from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
-import numpy as np
+from controllers.code import c_code, identifier, st_code
+from controllers.mpc import MPC
+from controllers.receding import Receding
+from controllers.scheduled_pid import ScheduledPID
+from controllers.tables import gain_csv, gain_table, mpc_matrices
+from workbench.errors import InputError, check_known
+from workbench.files import write_json, write_text
+from workbench.records import record
 
-from controllers.mpc import MPC, Extrapolated
-from controllers.observer import interpolated
-from controllers.scheduled_pid import LAW, BackCalculation, ScheduledPID, finite
-from workbench.errors import InputError
-from workbench.lpv import Basis, PiecewiseLinear, Powers
-from workbench.provenance import program
-
-GAIN_TABLE, MATRICES = "gain-scheduling-workbench/gain-table", "gain-scheduling-workbench/mpc-matrices"
-VERSION = 1
-FINER = 32  # points between two rows at which interpolation is compared with what it stands for
-POINTS = 21  # rows where no number of them makes linear interpolation exact
-INTERPOLATION = "linear between rows, the edge row outside"
-PROGRAM = {
-    "minimise": "1/2 (sum over i = 1..N-1 of |y_i - r_i - (yt - r_N)|_Q^2, + sum over i = 0..N-1 of |u_i - u_(i-1)|_S^2 + "
-    "|u_i - ut|_R^2, + |(x_N - xt, u_(N-1) - ut)|_P^2) + violation (sqrt(q) s + 1/2 q s^2) over the outputs with limits",
-    "weights": "Q, S, R: diagonal matrices of outputs, moves, inputs; q: the output's own weight in Q, 1 where that is 0",
-    "limits": "low <= u_i <= high, |u_i - u_(i-1)| <= rate dt, y_low - s <= y_i <= y_high + s for i = 1..N, s >= 0; null: none",
-    "model": "x_(i+1) = A_i x_i + B_i (u_i - u0_i + Bd d), y_i = C_i x_i + y0_i + Cd d; disturbances at the inputs: Bd = 1, "
-    "Cd = 0, at the outputs: Bd = 0, Cd = 1; matrices at rho + i slope, P at rho + N slope",
-    "slope": "slope+ = slope + (rho - rho- - slope) / memory every sample, from 0; memory null: slope = 0",
-    "observer": "e = y - y_0 of the model; the program starts from (x, d) + L e; from there the model under u, and J e added, "
-    "gives (x, d) of the next sample",
-    "target": "steady state of the model at rho + N slope, low <= ut <= high, with the least |yt - r_N|_Q^2 + |ut - u_(-1)|_R^2; "
-    "r_N kept within y_low and y_high",
-}
+FORMS = ("c", "st", "csv", "json")
 
 
-def table_points(basis: Basis, span: np.ndarray) -> np.ndarray:
-    """Schedule values from edge to edge of the span: with the knots between, where linear interpolation is exact, else a grid."""
-    if isinstance(basis, PiecewiseLinear):
-        return np.concatenate([span[:1], basis.knots[(basis.knots > span[0]) & (basis.knots < span[1])], span[1:]])
-    straight = isinstance(basis, Powers) and np.isin(basis.exponents, (0.0, 1.0)).all()
-    return np.linspace(span[0], span[1], 2 if straight else POINTS)
+@record
+class Export:
+    """Files by name, texts or numbers, and what is to be known of them in sentences."""
+
+    contents: dict[str, Any]
+    notes: tuple[str, ...] = ()
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write the files; returns their paths."""
+        return [
+            (write_text if isinstance(content, str) else write_json)(Path(folder) / name, content)
+            for name, content in self.contents.items()
+        ]
 
 
-def gain_points(law: ScheduledPID) -> np.ndarray:
-    """Schedule values of the rows of a law's gain table; one row without schedule."""
-    return np.zeros(1) if law.schedule is None else table_points(law.basis, law.span)
+def export(
+    controller: ScheduledPID | Receding, form: str, *, name: str | None = None, single: bool = False, fallback: bool = False
+) -> Export:
+    """The controller as files of a form: "c", "st", "csv" or "json".
 
+    name: of the functions or the block (default: from the controller's). single: C in single precision. fallback: of an MPC the
+    PID that it falls back on. Raises InputError for what a form cannot hold: an MPC needs a solver.
 
-def gain_csv(law: ScheduledPID) -> str:
-    """Kp, Ki, Kd, Kr and u0 over the schedule as CSV, a column a number; units where they are known."""
-    header = [f"{law.schedule} [{law.unit(law.schedule)}]"] if law.schedule else []
-    for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s"), ("Kr", "")):
-        header += [f"{name}_{a}_{m} {law.gain_unit(a, m, time)}".rstrip() for a in law.actuated for m in law.measured]
-    header += [f"u0_{a}" + f" [{law.unit(a)}]" * bool(law.unit(a)) for a in law.actuated]
-    rows = [",".join(header)]
-    for rho in gain_points(law):
-        numbers = [np.ravel(K) for K in law.gains_at(rho)]
-        rows.append(",".join(repr(float(v)) for v in np.concatenate([[rho][: law.schedule is not None], *numbers])))
-    return "\n".join(rows) + "\n"
-
-
-def gain_table(law: ScheduledPID) -> dict[str, Any]:
-    """All of a PID law but its memory, as plain numbers; gains (nu, ny) by row."""
-    named = lambda names: [{"name": name, "unit": law.unit(name)} for name in names]  # noqa: E731
-    points = gain_points(law)
-    rows = [law.gains_at(rho)._asdict() for rho in points]
-    back = isinstance(law.anti_windup, BackCalculation)
-    return {
-        "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name, "law": LAW, "dt": law.dt,
-        "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
-        "schedule": {"name": law.schedule, "unit": law.unit(law.schedule)} if law.schedule else None,
-        "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
-        "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
-        "interpolation": INTERPOLATION,
-        "largest_difference": _differences(points, rows, lambda rho: law.gains_at(rho)._asdict()),
-        "rows": [({"rho": rho} if law.schedule else {}) | row for rho, row in zip(points, rows, strict=True)],
-    }  # fmt: skip
-
-
-def mpc_matrices(law: MPC) -> dict[str, Any]:
-    """What a program with a solver of its own needs to compute the commands of an MPC: frozen matrices over the schedule.
-
-    A, B, C (model), u0, y0 (operating point), L, J (observer) and P (terminal cost) by row; see PROGRAM. Refuses a tube.
+        >>> export(load_controller("pid.json"), "c").save("firmware")                                       # doctest: +SKIP
     """
-    if law.tube is not None:
-        raise InputError(
-            "its limits are tightened by a tube, which these equations do not know", file=law.name,
-            mend="export --fallback, or design it without --tube",
-        )  # fmt: skip
-    model, named = law.model, lambda channels: [{"name": c.name, "unit": c.unit} for c in channels]
-    points = _matrix_points(law)
-    rows = [_matrices(law, rho) for rho in points]
-    nx, nu, ny, nd = model.order, len(model.inputs), len(model.outputs), law.observer.L.shape[1] - model.order
-    shapes = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "u0": (nu,), "y0": (ny,), "L": (nx + nd, ny), "J": (nx + nd, ny),
-              "P": (nx + nu, nx + nu)}  # fmt: skip
-    return {
-        "schema": MATRICES, "version": VERSION, "program": program(), "name": law.name, "equations": PROGRAM, "dt": law.dt,
-        "horizon": law.horizon, "inputs": named(model.inputs), "outputs": named(model.outputs),
-        "schedule": named([model.schedule])[0] if model.schedule else None,
-        "disturbances": "inputs" if law.observer.at_inputs else "outputs", "weights": vars(law.weights),
-        "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate), "y_low": finite(law.y_low),
-        "y_high": finite(law.y_high), "memory": law.prediction.memory if isinstance(law.prediction, Extrapolated) else None,
-        "shapes": shapes, "interpolation": INTERPOLATION,
-        "largest_difference": _differences(points, rows, lambda rho: _matrices(law, rho)),
-        "rows": [({"rho": rho} if model.schedule else {}) | row for rho, row in zip(points, rows, strict=True)],
-    }  # fmt: skip
+    form, notes, law = check_known("form", form, FORMS), (), controller
+    if isinstance(controller, ScheduledPID):
+        if fallback:
+            raise InputError("a PID falls back on nothing", mend="leave --fallback out")
+    elif fallback:
+        law = controller.fallback
+        notes = (f"this is {law.name}, the law that {controller.name} falls back on",)
+    elif isinstance(controller, MPC) and form == "json":
+        return _with_differences("matrices.json", mpc_matrices(controller))
+    else:
+        matrices = ", or --to json for its matrices" if isinstance(controller, MPC) else ""
+        mend = f"give --fallback for the PID that it falls back on{matrices}"
+        raise InputError(f"an {type(controller).__name__} needs a solver, and is no {form} text by itself", mend=mend)
+    assert isinstance(law, ScheduledPID)
+    if form in ("csv", "json"):
+        table = _with_differences("gains.json", gain_table(law))
+        contents = table.contents if form == "json" else {"gains.csv": gain_csv(law)}
+        return Export(contents, (*notes, *table.notes))
+    name = identifier(law, name)
+    if form == "st":
+        return Export({f"{name}.st": st_code(law, name)}, notes)
+    header, source = c_code(law, name, single=single)
+    return Export({f"{name}.h": header, f"{name}.c": source}, notes)
 
 
-def _matrix_points(law: MPC) -> np.ndarray:
-    """Schedule values of an MPC's rows: those of its observer and its terminal cost, and what the model needs between."""
-    model = law.model
-    if model.schedule is None:
-        return np.zeros(1)
-    own = [table_points(basis, model.span) for basis in (model.basis, model.operating_point.basis)]
-    points = np.unique(np.concatenate([law.observer.rho, law.terminal[0], *own]))
-    return points[np.diff(points, prepend=-np.inf) > 1e-9 * np.ptp(model.span)]  # two grids meet but for rounding
-
-
-def _matrices(law: MPC, rho: float) -> dict[str, np.ndarray]:
-    A, B, C, _ = law.model.freeze(rho)
-    (u0,), (y0,) = law.operating(np.array([rho]))
-    L, J = law.observer.gains(rho)
-    return {"A": A, "B": B, "C": C, "u0": u0, "y0": y0, "L": L, "J": J, "P": law.terminal_cost(rho)}
-
-
-def _differences(
-    points: np.ndarray, rows: Sequence[dict[str, np.ndarray]], exact: Callable[[float], dict[str, np.ndarray]]
-) -> dict[str, float]:
-    """Largest |interpolated - exact| of every quantity between the rows."""
-    stacked = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    found = dict.fromkeys(stacked, 0.0)
-    for rho in np.interp(np.arange(1, FINER * (len(points) - 1)) / FINER, np.arange(len(points)), points):
-        for key, value in exact(rho).items():
-            found[key] = max(found[key], float(np.abs(interpolated(points, stacked[key], rho) - value).max()))
-    return found
+def _with_differences(file: str, content: dict[str, Any]) -> Export:
+    """A table, and how far a program that interpolates between its rows is from the law."""
+    found = ", ".join(f"{key} {value:.2g}" for key, value in content["largest_difference"].items())
+    said = f"rows: {len(content['rows'])}; linear between them, which differs from the law by at most: {found}"
+    return Export({file: content}, (said,))

@@ -17,6 +17,7 @@ Shamma, "Research on gain scheduling", Automatica 36 (2000), section 5, on where
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -210,6 +211,12 @@ class ScheduledPID:
             schedule=content["schedule"], name=content["name"], units=dict(content.get("units", {})),
             span=np.append(unlimited(span[:1], -np.inf), unlimited(span[1:], np.inf)),
         )  # fmt: skip
+
+    def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:
+        """Write the law for another program, as "c", "st", "csv" or "json"; see `controllers.export`. Returns the paths."""
+        from controllers.export import export  # which imports this module
+
+        return export(self, form, name=name, single=single).save(folder)
 
     # ---- the law --------------------------------------------------------------------------------------------------------
 

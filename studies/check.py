@@ -16,10 +16,10 @@ import numpy as np
 from controllers.files import controller_content, controller_of
 from controllers.pid_design import feedback_of, worst_margins
 from controllers.scheduled_pid import ScheduledPID
+from controllers.trial import Trial, along
+from controllers.trial import on_model as on_the_model
 from controllers.tuning import DEFAULT
 from studies.arguments import Chosen, choose_controller, choose_plant, numbers, run_folder
-from studies.trial import Trial, along
-from studies.trial import on_model as on_the_model
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json

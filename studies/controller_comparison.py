@@ -19,11 +19,11 @@ import numpy as np
 from controllers.files import load_controller, save_controller
 from controllers.pid_design import worst_margins
 from controllers.receding import count_statuses
+from controllers.rehearsal import NO_WORSE
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
 from studies.design import POINTS, design_pictures
 from studies.loops import Bench, Case, Designed, benches
-from studies.rehearsal import NO_WORSE
 from studies.table import made, whole_rows
 from workbench.errors import InputError
 from workbench.files import read_json, write_json

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from controllers.export import gain_csv
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
@@ -22,12 +21,13 @@ from controllers.pid_design import (
     worst_margins,
 )
 from controllers.scheduled_pid import Gains, ScheduledPID
+from controllers.tables import gain_csv
+from controllers.trial import Trial, tried
 from controllers.tube import taken
 from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
 from studies.cli import DONE
 from studies.referee import handed_out
-from studies.trial import Trial, tried
 from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known

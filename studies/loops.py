@@ -17,11 +17,11 @@ from controllers.mpc import MPC, design_mpc
 from controllers.nmpc import design_nmpc
 from controllers.pid_design import PIDDesign, Structure, design_pid
 from controllers.receding import Weights
+from controllers.rehearsal import Rehearsal, calmest, rehearsal
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tuning import Bounds
 from plants import PLANTS
 from studies.experiments import measured
-from studies.rehearsal import Rehearsal, calmest, rehearsal
 from workbench.data import Dataset
 from workbench.identification.lti import LTI
 from workbench.identification.ssm import SSM

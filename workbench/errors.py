@@ -42,3 +42,7 @@ def check_known(kind: str, name: str, known: Iterable[str], *, file: object = No
         near = get_close_matches(name, known, n=1, cutoff=0.6)
     listed = f"known: {', '.join(known)}"
     raise InputError(f"unknown {kind} {name!r}", file=file, mend=f"did you mean {near[0]!r}? {listed}" if near else listed)
+
+
+class NotHandedOutError(InputError):
+    """An answer that the referee does not hand out: it loses against what it replaces, or loses the loop that it is for."""

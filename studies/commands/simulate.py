@@ -134,7 +134,7 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
     """The controller holding its set-points, on a plant or on an identified model once along its whole schedule; or following
     those of a file of limits, on a plant.
     """
-    from studies.rehearsal import check_setpoint, hold
+    from controllers.rehearsal import check_setpoint, hold
     from workbench.lpv import load_model
     from workbench.robustness.limits import load_limits
     from workbench.simulation import Scenario

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from controllers.code import WIDTH, c_code, identifier, st_code
-from controllers.export import gain_csv, gain_table, mpc_matrices
 from controllers.mpc import design_mpc
 from controllers.pid import pid
 from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID
+from controllers.tables import gain_csv, gain_table, mpc_matrices
 from plants import WEB_WINDING
 from studies.experiments import plan
 from tests.controllers.compiled import CompiledLaw

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from controllers import tube as module
-from controllers.export import mpc_matrices
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, design_mpc
 from controllers.pid import pid
 from controllers.receding import Status, Weights
+from controllers.tables import mpc_matrices
 from controllers.tube import design_tube, predictor_observer
 from workbench.data import Channel
 from workbench.errors import InputError

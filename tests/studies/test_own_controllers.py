@@ -258,7 +258,11 @@ def test_a_memory_that_is_one_array_for_all_runs_is_refused(tmp_path):
         ("e = r[0] - y[0]\n", "e = (np.array(r) - np.array(y))[0]\n        e = e if np.isnan(e).any() else e\n", "its law"),
         ("gains[0] * e + state[0]]", "gains[0] * np.polyval([1.0, 0.0], e) * (e > 0) & (e < 1)]", "its law"),
         ('None, ("u",)', 'None, ("u", "u")', "name each channel once"),
-        ("    gains =", "    def step(self, state, r, y, rho):\n        return r, state\n\n    gains =", "has law and step"),
+        (
+            "    gains =",
+            "    def step(self, state, r, y, rho):\n        return r, state\n\n    gains =",
+            "has law and step",
+        ),
         ("def step(self, state, r, y, rho)", "def step(self, r, y)", "its step: TypeError"),
     ],
 )

@@ -10,7 +10,7 @@ from typing import Any
 from workbench.data import Dataset, check_held_out
 from workbench.decimation import thinned
 from workbench.diagnosis.check import check
-from workbench.errors import InputError
+from workbench.errors import InputError, NotHandedOutError
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.records import record
@@ -20,10 +20,6 @@ Progress = Callable[[str], None]
 
 WIDTH = 110  # characters of a line
 SHOWN = 12  # lines
-
-
-class NotHandedOutError(InputError):
-    """An answer that the referee does not hand out: on held-out records it is worse than what it replaces."""
 
 
 class Answer(ABC):

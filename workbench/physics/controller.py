@@ -78,6 +78,7 @@ def stepped(controller: Any, state: Any, r: np.ndarray, y: np.ndarray, rho: floa
 
 
 LOOP = ("name", "dt", "references", "measured", "schedule", "actuated", "init")
+SAMPLES = 20  # at which law and step are compared
 EQUATION = "law(gains, state, r, y, rho) -> (list of commands, list of the next memory)"
 
 
@@ -100,8 +101,6 @@ def check_controller(controller: Any, file: object) -> None:
             raise InputError(f"{name} = {value!r}", file=file, mend=f"expected a tuple of names: {name} = ('v',)")
         if len({*value}) < len(value):
             raise InputError(f"{name} = {value!r}", file=file, mend="name each channel once")
-    if hasattr(controller, "law") and hasattr(controller, "step"):
-        raise InputError("has law and step", file=file, mend="one of them: an equation, or what is asked sample by sample")
     if not controller.actuated or len(controller.references) > len(controller.measured):
         said = (
             f"{len(controller.references)} set-points, {len(controller.measured)} measured, {len(controller.actuated)} actuated"
@@ -109,6 +108,8 @@ def check_controller(controller: Any, file: object) -> None:
         raise InputError(said, file=file, mend="name an input at least; set-points belong to the first of measured, one by one")
     if isinstance(controller, Controller):
         _check_law(controller, file)
+        if hasattr(controller, "step"):
+            _check_same(controller, file)
     else:
         _check_memory(controller, file)
 
@@ -134,6 +135,31 @@ def _check_memory(controller: Any, file: object) -> None:
     if not np.array_equal(first, again, equal_nan=True):
         said = "its step keeps something in itself or changes its memory in place: a second run would begin otherwise"
         raise InputError(said, file=file, mend="give everything that it remembers back as the next memory, a new one each time")
+
+
+def _check_same(controller: Any, file: object) -> None:
+    """Refuse a step that is not the law: a simulation compiles the law, and firmware may be made from the step."""
+    nr, ny, random = len(controller.references), len(controller.measured), np.random.default_rng(0)
+    asked = controller.init()
+    for _ in range(SAMPLES):
+        r, y, rho = random.normal(size=nr), random.normal(size=ny), random.normal() if controller.schedule else None
+        try:
+            with np.errstate(all="ignore"):
+                u, after = (np.asarray(own, dtype=float) for own in controller.law(controller.gains, asked, r, y, rho))
+                other, state = (np.asarray(own, dtype=float) for own in controller.step(asked, r, y, rho))
+        except Exception as reason:
+            mend = "expected step(memory, r, y, rho) -> (commands, next memory), or law alone: it is asked step by step too"
+            raise InputError(f"its step: {type(reason).__name__}: {reason}", file=file, mend=mend) from reason
+        if not np.isfinite([*u, *after]).all():
+            return  # these numbers need not make sense to it
+        if not (_close(u, other) and _close(after, state)):
+            said = f"has law and step, which command {u.tolist()} and {other.tolist()} of the same samples"
+            raise InputError(said, file=file, mend="leave step out: the law is asked step by step too")
+        asked = after
+
+
+def _close(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.shape == b.shape and bool(np.allclose(a, b, rtol=1e-9, atol=1e-12))
 
 
 def _check_law(controller: Controller, file: object) -> None:

@@ -13,9 +13,10 @@ import workbench as wb
 from plants import WELDING_ROBOT
 from studies.cli import main
 from studies.experiments import measured
-from workbench.answers.answer import Answer, NotHandedOutError
+from workbench.answers.answer import Answer
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.calibrate import trajectories
+from workbench.errors import NotHandedOutError
 
 HIDDEN = {"coulomb@rail": {"level": 0.3}}
 OBJECTION = "the extended plant is worse on held-out records"

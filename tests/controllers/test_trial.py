@@ -11,8 +11,8 @@ from scipy.linalg import expm
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
 from controllers.pid_design import design_pid
+from controllers.trial import along, followed, on_model, on_plant
 from studies.cli import main
-from studies.trial import along, followed, on_model, on_plant
 from tests.controllers.test_pid_design import machine
 from workbench.data import Channel
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from controllers.pid_design import FrozenPoint
+from controllers.rehearsal import Rehearsal
 from controllers.scheduled_pid import ScheduledPID
-from studies.rehearsal import Rehearsal
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import record

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controllers.pid import pid
-from studies.rehearsal import NO_WORSE, calmest, hold, rehearsal
+from controllers.rehearsal import NO_WORSE, calmest, hold, rehearsal
 from tests.controllers.test_pid_design import machine
 from workbench.errors import InputError
 from workbench.lpv import Predictor

@@ -1,0 +1,10 @@
+# The public list of `controllers`: every name and the module that it comes from, loaded when it is first used.
+
+from .designs import MPCDesign as MPCDesign
+from .designs import ScheduledPIDDesign as ScheduledPIDDesign
+from .files import load_controller as load_controller
+from .files import save_controller as save_controller
+from .mpc import MPC as MPC
+from .nmpc import NMPC as NMPC
+from .pid_design import PIDDesign as PIDDesign
+from .scheduled_pid import ScheduledPID as ScheduledPID

@@ -1,0 +1,141 @@
+"""Designs as records of their options with one verb: `on(model)` gives the controller.
+
+law = ScheduledPIDDesign(sensitivity=1.6, setpoint={"w3": 100.0, "theta": 0.0}).on(model)
+law = MPCDesign(low={"V1": 0.0}, high={"V1": 5.0}, keep={"theta": (-20.0, 20.0)}).on(model)
+
+Before it is handed out the controller runs its loop once, on the plant where one is given, else on the model
+(`controllers.trial`): frozen margins do not say that a loop holds its machine.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from controllers.mpc import MPC, default_weights, design_mpc
+from controllers.pid_design import PIDDesign, Structure, design_pid
+from controllers.scheduled_pid import ScheduledPID
+from controllers.trial import tried
+from controllers.tuning import Bounds
+from workbench.data import Channel
+from workbench.errors import InputError, NotHandedOutError, check_known
+from workbench.lpv import LPVModel
+from workbench.physics.plant import Plant
+from workbench.records import field, record
+
+KNOTS = 5  # schedule values with gains of their own
+
+Numbers = Mapping[str, float]
+
+
+@record
+class ScheduledPIDDesign:
+    """The most integral action whose frozen loops keep |S|, |T| and the effort within bounds over the whole schedule.
+
+    sensitivity, complementary: largest |S|, |T|; effort: largest |Q| as a multiple of the least that is needed. knots: schedule
+    values with gains of their own, their number or the values; 1 is a fixed PID. low, high, rate [1/s]: limits of commands by
+    input. setpoint: the usual one by output, which is held without the integral. filter [s]: of the derivative, default two
+    samples. setpoint_weight: share of the set-point in the proportional part. robust_to: models that must be kept too.
+
+        >>> ScheduledPIDDesign(sensitivity=1.4).on(load_model("ssm.json"))                                  # doctest: +SKIP
+    """
+
+    sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
+    complementary: float = field("", low=1.0 + 1e-9, default=1.6)
+    effort: float = field("", low=1.0 + 1e-9, default=3.0)
+    knots: int | Sequence[float] = KNOTS
+    low: Numbers = field(default_factory=dict)
+    high: Numbers = field(default_factory=dict)
+    rate: Numbers = field(default_factory=dict)
+    setpoint: Numbers = field(default_factory=dict)
+    derivative: bool = True
+    filter: float | None = None
+    setpoint_weight: float = field("", low=0.0, high=1.0, default=1.0)
+    feedforward: bool = True
+    robust_to: tuple[LPVModel, ...] = ()
+
+    def design(self, model: LPVModel) -> PIDDesign:
+        """The controller with its margins at every schedule value. Raises InputError where none keeps the bounds."""
+        limits = {key: _by_channel(getattr(self, key), model.inputs, model.name, default) for key, default in _LIMITS.items()}
+        structure = Structure(
+            derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
+        )  # fmt: skip
+        bounds = Bounds(self.sensitivity, self.complementary, self.effort)
+        knots = 1 if model.schedule is None else self.knots
+        usual = _setpoint(self.setpoint, model)
+        return design_pid(
+            model, knots=knots, bounds=bounds, structure=structure, setpoint=usual, robust_to=self.robust_to
+        )  # fmt: skip
+
+    def on(self, model: LPVModel, plant: Plant | None = None, *, accept: bool = False) -> ScheduledPID:
+        """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
+        and nobody accepts it all the same.
+        """
+        return _after_trial(self.design(model).law, model, plant, _setpoint(self.setpoint, model), accept)
+
+
+@record
+class MPCDesign:
+    """An MPC on the model that keeps limits of commands always and of outputs where it can.
+
+    horizon: samples that it looks ahead; move: price of a unit move of a command; low, high, rate [1/s]: limits of commands by
+    input, default those of the fallback; keep: (lowest, highest) by output. fallback: the PID for when all else fails, designed
+    with default bounds and these limits where none is given. setpoint: the usual one by output.
+
+        >>> MPCDesign(keep={"theta": (-20.0, 20.0)}).on(load_model("ssm.json"))                             # doctest: +SKIP
+    """
+
+    horizon: int = 20
+    move: float = field("", low=1e-12, default=0.003)
+    low: Numbers = field(default_factory=dict)
+    high: Numbers = field(default_factory=dict)
+    rate: Numbers = field(default_factory=dict)
+    keep: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fallback: ScheduledPID | None = None
+    setpoint: Numbers = field(default_factory=dict)
+
+    def on(self, model: LPVModel, plant: Plant | None = None, *, accept: bool = False) -> MPC:
+        """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
+        and nobody accepts it all the same.
+        """
+        fallback = self.fallback
+        if fallback is None:
+            fallback = ScheduledPIDDesign(low=self.low, high=self.high, rate=self.rate, setpoint=self.setpoint).design(model).law
+        low, high, rate = (_by_channel(getattr(self, key), model.inputs, model.name, getattr(fallback, key)) for key in _LIMITS)
+        lowest, highest = ({y: ends[i] for y, ends in self.keep.items()} for i in (0, 1))
+        law = design_mpc(
+            model, fallback, horizon=self.horizon, weights=default_weights(model, self.move), low=low, high=high, rate=rate,
+            y_low=_by_channel(lowest, model.outputs, model.name, -np.inf),
+            y_high=_by_channel(highest, model.outputs, model.name, np.inf),
+        )  # fmt: skip
+        return _after_trial(law, model, plant, _setpoint(self.setpoint, model), accept)
+
+
+_LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}
+
+
+def _by_channel(given: Numbers, channels: Sequence[Channel], file: str, default: Any) -> np.ndarray:
+    """Numbers (n,) in the order of the channels; `default` where none is given. Raises InputError for an unknown channel."""
+    known = [c.name for c in channels]
+    for name in given:
+        check_known("channel", name, known, file=file)
+    usual = np.broadcast_to(np.asarray(default, dtype=float), len(known))
+    return np.array([float(given.get(name, own)) for name, own in zip(known, usual, strict=True)])
+
+
+def _setpoint(given: Numbers, model: LPVModel) -> list[float] | None:
+    """The usual set-point in the order of the outputs, None where none is given."""
+    if not given:
+        return None
+    values = _by_channel(given, model.outputs, model.name, np.nan)
+    if missing := [c.name for c, value in zip(model.outputs, values, strict=True) if np.isnan(value)]:
+        raise InputError(f"no set-point for {', '.join(missing)}", file=model.name, mend="give one for every output, or none")
+    return values.tolist()
+
+
+def _after_trial(law: Any, model: LPVModel, plant: Plant | None, setpoint: list[float] | None, accept: bool) -> Any:
+    """The controller, unless one run of its loop is lost."""
+    trial = tried(law, model, plant, setpoint)
+    if trial.lost and not accept:
+        raise NotHandedOutError(f"{law.name} is not handed out: {trial.sentence}", mend="accept=True takes it all the same")
+    return law
