@@ -33,7 +33,7 @@ from workbench.errors import InputError, check_known
 from workbench.files import write_bytes, write_text
 from workbench.provenance import versions
 from workbench.records import field, record
-from workbench.toml import Table, finite, kind, read_toml
+from workbench.toml import Table, kind, read_toml
 
 DRAWN = ("random", "latin-hypercube", "sobol", "morris", "sobol-indices")
 DESIGNS = ("grid", "list", *DRAWN)
@@ -239,7 +239,7 @@ def _factor(own: Table, name: str, design: str) -> Factor:
 
 
 def _is_value(value: Any) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool) and finite(value)
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return isinstance(value, str) or number
 
 

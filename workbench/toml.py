@@ -1,6 +1,7 @@
 """TOML files, read key by key: what is unknown, missing or makes no sense is refused with table, key and what was expected."""
 
 import math
+import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ def read_toml(path: str | Path, known: Sequence[str] | None = None) -> "Table":
     """The file's own keys, of which only those `known` are allowed. Raises InputError for a file that is no TOML."""
     path = Path(path)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = _as_floats(tomllib.loads(path.read_text(encoding="utf-8")))
     except tomllib.TOMLDecodeError as reason:
         raise InputError(f"not TOML: {reason}", file=path, mend="texts and times in quotes? one key a line?") from None
     except UnicodeDecodeError:
@@ -23,6 +24,17 @@ def read_toml(path: str | Path, known: Sequence[str] | None = None) -> "Table":
     except OSError as reason:
         raise InputError(f"cannot read: {reason.strerror}", file=path, mend="check the path") from None
     return Table(path, "", content, known)
+
+
+def _as_floats(content: Any) -> Any:
+    """The same with an infinity of its sign for every whole number that no float holds: it may have hundreds of digits."""
+    if isinstance(content, dict):
+        return {key: _as_floats(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_as_floats(value) for value in content]
+    if isinstance(content, int) and abs(content) > sys.float_info.max:
+        return math.inf if content > 0 else -math.inf
+    return content
 
 
 class Table:
@@ -48,7 +60,7 @@ class Table:
         value = self.content[key]
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.refused(key, kind(value), "expected a number")
-        if not finite(value):
+        if not math.isfinite(value):
             raise self.refused(key, f"{value}"[:40], "expected a finite number; leave out what has no bound")
         return float(value)
 
@@ -94,14 +106,6 @@ class Table:
         if not isinstance(value, bool):
             raise self.refused(key, kind(value), "expected true or false")
         return value
-
-
-def finite(value: float) -> bool:
-    """Whether a number is finite as a float: a whole number may have hundreds of digits."""
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
 
 
 def kind(value: Any) -> str:

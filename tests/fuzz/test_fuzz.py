@@ -4,6 +4,7 @@
 """
 
 import json
+import re
 import tempfile
 from pathlib import Path
 from random import Random
@@ -44,6 +45,17 @@ def test_a_spoilt_file_is_read_or_refused(every, name, seed):
     for _ in range(3):
         with tempfile.TemporaryDirectory() as folder:
             target.tried(Path(folder), spoilt(target.seed, target.ending, random))
+
+
+@pytest.mark.parametrize("number", ["9" * 400, "-" + "9" * 400, "inf", "nan", "1e999"])
+@pytest.mark.parametrize("name", ["limits", "sweep"])
+def test_a_number_beyond_all_floats_at_any_place_is_read_or_refused(every, name, number, tmp_path):
+    target = every[name]
+    text = target.seed.decode()
+    places = [match.span() for match in re.finditer(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])", text)]
+    assert len(places) > 3
+    for start, end in places:
+        target.tried(tmp_path, (text[:start] + number + text[end:]).encode())
 
 
 def test_an_infinite_place_in_a_model_is_a_refusal(every, tmp_path):
