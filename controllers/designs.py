@@ -56,6 +56,7 @@ class ScheduledPIDDesign:
 
     def design(self, model: LPVModel) -> PIDDesign:
         """The controller with its margins at every schedule value. Raises InputError where none keeps the bounds."""
+        _check_model(model)
         limits = {key: _by_channel(getattr(self, key), model.inputs, model.name, default) for key, default in _LIMITS.items()}
         structure = Structure(
             derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
@@ -94,10 +95,16 @@ class MPCDesign:
     fallback: ScheduledPID | None = None
     setpoint: Numbers = field(default_factory=dict)
 
+    def __post_init__(self):
+        for name, ends in self.keep.items():
+            if not isinstance(ends, tuple | list) or len(ends) != 2:
+                raise InputError(f"keep {name}: {ends!r}", mend="give the lowest and the highest value: (-20.0, 20.0)")
+
     def on(self, model: LPVModel, plant: Plant | None = None, *, accept: bool = False) -> MPC:
         """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
         and nobody accepts it all the same.
         """
+        _check_model(model)
         fallback = self.fallback
         if fallback is None:
             fallback = ScheduledPIDDesign(low=self.low, high=self.high, rate=self.rate, setpoint=self.setpoint).design(model).law
@@ -112,6 +119,11 @@ class MPCDesign:
 
 
 _LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}
+
+
+def _check_model(model: Any) -> None:
+    if not isinstance(model, LPVModel):
+        raise InputError(f"a {type(model).__name__}, expected an LPV model", mend="wb.identify(data).model, wb.load_model(FILE)")
 
 
 def _by_channel(given: Numbers, channels: Sequence[Channel], file: str, default: Any) -> np.ndarray:

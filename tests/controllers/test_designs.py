@@ -80,6 +80,13 @@ def test_a_channel_that_the_model_does_not_have_is_named(model, options, said):
         ScheduledPIDDesign(**options).on(model)
 
 
+def test_what_is_no_model_and_no_range_is_named():
+    with pytest.raises(InputError, match="a str, expected an LPV model"):
+        ScheduledPIDDesign().on("ssm.json")
+    with pytest.raises(InputError, match="keep y: 3"):
+        MPCDesign(keep={"y": 3})
+
+
 def test_export_writes_what_the_command_writes(law, tmp_path):
     path = controllers.save_controller(law, tmp_path / "pid.json")
     for form in ("c", "st", "csv", "json"):

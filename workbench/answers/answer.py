@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from workbench.data import Dataset, check_held_out
+from workbench.data import Dataset, Experiment, check_held_out
 from workbench.decimation import thinned
 from workbench.diagnosis.check import check
 from workbench.errors import InputError, NotHandedOutError
@@ -88,12 +88,26 @@ class Records:
         return provenance({**configuration, "records": list(self.own.names)}, self.files)
 
 
+def as_dataset(records: Any) -> Dataset:
+    """The records of a verb. Raises InputError for what holds none."""
+    if isinstance(records, Experiment):
+        return Dataset((records,))
+    if not isinstance(records, Dataset):
+        told = f"{type(records).__name__} {records!r}"[:60]
+        raise InputError(f"records: {told}, expected a Dataset", mend="read it first: wb.read('a.csv', inputs=.., outputs=..)")
+    return records
+
+
 def prepared(plant: Plant, own: Dataset, held_out: Dataset | None, dt: float | None, anyway: bool) -> Records:
     """Records brought to the plant's sample time where they are much faster, and checked against the plant.
 
     dt [s]: the sample time to bring them to. Raises InputError for records that cannot be of this plant, unless the user takes
     them `anyway`, and for held-out records that are among the others.
     """
+    if not isinstance(plant, Plant):
+        told = f"{type(plant).__name__} {plant!r}"[:60]
+        raise InputError(f"plant: {told}, expected a Plant", mend="from plants import PLANTS, or a plant of your own")
+    own, held_out = as_dataset(own), None if held_out is None else as_dataset(held_out)
     own, said = thinned(own, dt, plant)
     if held_out:
         held_out = thinned(held_out, own.dt if said else dt, plant)[0]

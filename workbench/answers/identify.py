@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, Progress, Records, refused
+from workbench.answers.answer import Answer, Progress, Records, as_dataset, refused
 from workbench.answers.comparison import comparison, score_table
 from workbench.answers.envelopes import Method as IntervalMethod
 from workbench.answers.envelopes import described_modes, fit_outputs
@@ -183,6 +183,7 @@ def _method(name: str) -> Method:
 
 def prepared(own: Dataset, held_out: Dataset | None, dt: float | None) -> Records:
     """Records with roles, thinned out where nothing in them moves fast. Raises InputError for what cannot be identified."""
+    own, held_out = as_dataset(own), None if held_out is None else as_dataset(held_out)
     own, thinner = thinned(own, dt)
     check_roles(own)
     if held_out:

@@ -176,6 +176,30 @@ def test_roles_that_are_missing_are_asked_for_in_both_languages(files):
         wb.identify(wb.read(files[0], **ROLES), methods=["lty"])
 
 
+@pytest.mark.parametrize(
+    ("verb", "said"),
+    [
+        (lambda data: wb.diagnose("welding-robot", data), "plant: str 'welding-robot', expected a Plant"),
+        (lambda data: wb.diagnose(WELDING_ROBOT, "a.csv"), "records: str 'a.csv', expected a Dataset"),
+        (lambda data: wb.calibrate(WELDING_ROBOT, data, held_out={"u": [1.0]}), "records: dict .*, expected a Dataset"),
+        (lambda data: wb.calibrate(WELDING_ROBOT, data, parameters=["zz"]), "unknown parameter 'zz'"),
+        (lambda data: wb.identify("a.csv"), "records: str 'a.csv', expected a Dataset"),
+        (lambda data: wb.identify(data, data), "the same samples"),
+    ],
+)
+def test_what_a_verb_cannot_take_is_named_with_its_mend(files, verb, said):
+    with pytest.raises(wb.InputError, match=said):
+        verb(wb.read(files[0], **ROLES))
+
+
+def test_one_record_is_a_set_of_one(files):
+    (one,) = wb.read(files[0], **ROLES)
+    methods = {"lti": wb.LTI(order=2)}
+    assert (
+        wb.identify(one, methods=methods).scores[0].FIT == wb.identify(wb.read(files[0], **ROLES), methods=methods).scores[0].FIT
+    )
+
+
 # ---- the public list -----------------------------------------------------------------------------------------------------
 
 
