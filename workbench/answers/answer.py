@@ -1,11 +1,14 @@
 """What every answer can do: say itself in a few lines, draw its page, and be written into a folder."""
 
+import hashlib
 import html
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.decimation import thinned
@@ -84,8 +87,13 @@ class Records:
         return [e.file for e in (*self.own, *(self.held_out or ())) if e.file]
 
     def source(self, configuration: Mapping[str, Any]) -> dict[str, Any]:
-        """Where numbers come from: these files, what was asked, versions."""
-        return provenance({**configuration, "records": list(self.own.names)}, self.files)
+        """Hashes of these files, or of the samples where there is no file (any more), what was asked, and versions."""
+        there = [path for path in self.files if Path(path).is_file()]
+        source = provenance({**configuration, "records": list(self.own.names)}, there)
+        for e in (*self.own, *(self.held_out or ())):
+            if e.file not in there:
+                source["data"][e.name] = hashlib.sha256(np.ascontiguousarray(e.values).tobytes()).hexdigest()
+        return source
 
 
 def as_dataset(records: Any) -> Dataset:

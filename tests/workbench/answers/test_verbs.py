@@ -17,7 +17,9 @@ from workbench.answers.answer import Answer
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.calibrate import trajectories
 from workbench.errors import NotHandedOutError
+from workbench.files import sha256
 
+ROLES = {"inputs": "u", "outputs": "v"}
 HIDDEN = {"coulomb@rail": {"level": 0.3}}
 OBJECTION = "the extended plant is worse on held-out records"
 
@@ -83,6 +85,22 @@ def test_a_saved_answer_says_which_files_it_rests_on(found, done, tmp_path):
         assert set(source["data"]) == {"rbs.csv", "prbs.csv"}
 
 
+def test_records_without_a_file_are_told_by_the_hash_of_their_samples(files, tmp_path):
+    data = wb.read(files[0], **ROLES)
+    (one,) = data
+    gone = replace(one, file=str(tmp_path / "gone.csv"))
+    other = replace(one, file="", values=one.values + 1e-9)
+    methods = {"lti": wb.LTI(order=2)}
+    hashes = {}
+    for name, own in (("file", one), ("gone", gone), ("arrays", replace(one, file="")), ("other", other)):
+        folder = wb.identify(own, methods=methods).save(tmp_path / name)
+        source = json.loads((folder / "scores.json").read_text(encoding="utf-8"))["provenance"]["data"]
+        ((_, hashes[name]),) = source.items()
+    assert hashes["file"] == sha256(files[0])
+    assert hashes["gone"] == hashes["arrays"]
+    assert len({*hashes.values()}) == 3
+
+
 def test_an_answer_says_itself_in_a_few_lines_and_draws_its_page(found, done):
     for answer in (found, done):
         assert isinstance(answer, Answer)
@@ -124,8 +142,6 @@ def test_causes_are_a_table(found):
 
 
 # ---- identify ------------------------------------------------------------------------------------------------------------
-
-ROLES = {"inputs": "u", "outputs": "v"}
 
 
 def test_identify_writes_what_the_command_writes(files, tmp_path):
