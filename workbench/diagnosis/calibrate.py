@@ -149,7 +149,7 @@ def calibrate(
         )
     held: dict[str, float] = {}
     while True:
-        own = _with_values(opened, held)
+        own = opened.with_parameters(held)
         at = predictor(own, dataset)
         done = recalibrated(at, own=unknowns(at, names=[name for name in free if name not in held]))
         lasting(Model(done.predictor, done.fit), plant.name)
@@ -180,7 +180,7 @@ def calibrate(
         if any(np.isfinite(r.y[:, i]).any() for r in found.records)
     }
     values = {f.name: f.value for f in fitted}
-    return Calibration(_with_values(plant, values), fitted, _pairs(fitted, done), starts, noise, objections)
+    return Calibration(plant.with_parameters(values), fitted, _pairs(fitted, done), starts, noise, objections)
 
 
 def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:
@@ -212,10 +212,6 @@ def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:
             )
         opened.append(q)
     return replace(plant, parameters=tuple(opened))
-
-
-def _with_values(plant: Plant, values: Mapping[str, float]) -> Plant:
-    return replace(plant, parameters=tuple(replace(q, value=float(values.get(q.name, q.value))) for q in plant.parameters))
 
 
 def _fitted(opened: Plant, done: Calibrated, held: Mapping[str, float]) -> tuple[Fitted, ...]:

@@ -36,9 +36,7 @@ class Extension:
         """
         if plant.name != self.plant:
             raise InputError(f"extends plant {self.plant!r}, not {plant.name!r}", file=file, mend=f"give {self.base} instead")
-        p = plant.parameter_vector(self.parameters)
-        parameters = tuple(replace(q, value=float(value)) for q, value in zip(plant.parameters, p, strict=True))
-        extended = replace(plant, parameters=parameters, effects=_together(plant.effects, self.effects))
+        extended = replace(plant.with_parameters(self.parameters), effects=_together(plant.effects, self.effects))
         extended.effect_vector()  # refuses what does not fit
         return extended
 

@@ -574,6 +574,23 @@ class Plant:
         results = function.map(R)(x.T, u.T, p.T, eta.T, angle, np.full((1, R), t), inner, rate)
         return [np.array(J).T.reshape(R, -1, J.shape[0]) for J in results]
 
+    def with_parameters(self, values: Mapping[str, float]) -> "Plant":
+        """The plant with these numbers in place of its own, which starts at its own rest.
+
+        Fitted numbers need not leave one (a tank whose inflow became negative runs dry): there it starts where it did before.
+        """
+        p = self.parameter_vector(values)
+        after = replace(self, parameters=tuple(replace(q, value=float(v)) for q, v in zip(self.parameters, p, strict=True)))
+        if not self.start.solve_for:
+            return after
+        try:
+            after.equilibrium()
+        except InputError:
+            x, u = self.equilibrium()
+            names = (*self.state_names, *self.input_names)
+            return replace(after, start=Start(dict(zip(names, (*x.tolist(), *u.tolist()), strict=True))))
+        return after
+
     def equilibrium(self, p=None, **fixed: float) -> tuple[np.ndarray, np.ndarray]:
         """State x0 and input u0 at which the states in `start.zero` stand still; `fixed` replaces single values."""
         x, u = self.equilibria((self.nominal if p is None else np.asarray(p, dtype=float))[None], **fixed)

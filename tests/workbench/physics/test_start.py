@@ -6,6 +6,7 @@ import pytest
 from workbench import Channel, Parameter, Plant, Start
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
+from workbench.physics.extension import extension
 from workbench.simulation import Scenario, simulate
 
 
@@ -41,6 +42,25 @@ TANKS, ARM = ("h1", "h2"), ("th", "w")
 def test_levels_of_tanks_follow_from_the_inflow_without_a_guess(u):
     x, _ = plant(tanks, TANKS, Start({"u": u}, TANKS, TANKS)).equilibrium()
     np.testing.assert_allclose(x, [(0.2 * u / 0.1) ** 2, (0.2 * u / 0.05) ** 2], rtol=1e-9)
+
+
+def shared(x, u, p, at):
+    """Two tanks in a row, of which the first gets what a share k leaves it of the inflow."""
+    return {"h1": (0.3 - p.k) * u.u - p.a * np.sqrt(x.h1), "h2": p.a * np.sqrt(x.h1) - p.b * np.sqrt(x.h2)}
+
+
+def test_numbers_that_leave_no_rest_start_where_the_plant_did_before():
+    limits = {"h1": (0.0, 10.0), "h2": (0.0, 30.0)}
+    nominal = plant(shared, TANKS, Start({"u": 1.0}, TANKS, TANKS), limits=limits)
+    x, u = nominal.equilibrium()
+    np.testing.assert_allclose(x, [1.0, 4.0], rtol=1e-9)
+    filled = nominal.with_parameters({"k": 0.1})  # has a rest of its own
+    np.testing.assert_allclose(filled.equilibrium()[0], [4.0, 16.0], rtol=1e-9)
+    for dry in (nominal.with_parameters({"k": 0.35}), extension(nominal, "drawn", {"k": 0.35}).of(nominal)):
+        np.testing.assert_allclose(np.concatenate(dry.equilibrium()), np.concatenate([x, u]), rtol=1e-12)
+        assert dry.nominal[0] == 0.35
+    with pytest.raises(InputError, match="no start"):  # the owner's own numbers are refused all the same
+        plant(shared, TANKS, Start({"u": -1.0}, TANKS, TANKS), limits=limits).with_parameters({"k": 0.2})
 
 
 def test_the_inflow_follows_from_a_level():
