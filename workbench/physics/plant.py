@@ -30,6 +30,7 @@ OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than 
 SIXTY = (60.0, 3600.0)  # so has one that is sampled so many times more slowly or faster
 SAME_TIMES = 0.02  # to within that
 SIZES = tuple(sign * size for sign in (1.0, -1.0) for size in (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3))  # see Start
+SHRUNK = (0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a guess, at the last
 
 
 @record
@@ -75,8 +76,10 @@ class Start:
     Unknowns `solve_for` (states or inputs) are found from derivative = 0 of as many states in `zero`; whatever is named
     nowhere starts at 0. Newton's method begins at `guess`, by default 0. Where it fails there (a tank's outflow has no slope at
     level 0, a thrust of u^2 none at u = 0), unknowns without a guess within the limits begin at 1, 0.1, 10, 0.01, 100, 0.001 and
-    1000, then at their negatives, and guesses are stretched by as much; the first that ends at rest within the plant's limits is
-    taken. So of two answers +u and -u the positive one is; `guess` asks for the other.
+    1000, then at their negatives, and guesses are stretched by as much, in the end shrunk to a tenth and by tens down to a
+    millionth (a root that is guarded against negative levels has no slope there, where steps from too high a level end). The
+    first that ends at rest within the plant's limits is taken. So of two answers +u and -u the positive one is; `guess` asks for
+    the other.
     """
 
     fixed: Mapping[str, float | str] = field(default_factory=dict)
@@ -661,9 +664,9 @@ class Plant:
             return rates[0], J[0]
 
         nearest, away, moves = guess, np.inf, np.zeros((len(self.start.zero), len(unknown)), dtype=bool)
-        for size in (0.0, *SIZES):
-            none = (guess == 0.0) | (guess < low) | (guess > high)
-            first = np.clip(np.where(none, size, guess * (1.0 + size)), low, high)
+        none = (guess == 0.0) | (guess < low) | (guess > high)
+        for size, factor in (*((size, 1.0 + size) for size in (0.0, *SIZES)), *zip(SHRUNK, SHRUNK, strict=True)):
+            first = np.clip(np.where(none, size, guess * factor), low, high)
             rates, J = at(first)
             moves |= J != 0.0
             if not (np.isfinite(rates).all() and np.isfinite(J).all()):
@@ -712,7 +715,7 @@ class Plant:
             else "found no place with finite rates"
         )
         return InputError(
-            f"no start found: {counted}; {1 + len(SIZES)} tries from the guess {far}",
+            f"no start found: {counted}; {1 + len(SIZES) + len(SHRUNK)} tries from the guess {far}",
             file=self.name,
             mend="are parameters and fixed values possible together? otherwise give Start(guess={...}) near where it stands",
         )

@@ -44,6 +44,20 @@ def test_levels_of_tanks_follow_from_the_inflow_without_a_guess(u):
     np.testing.assert_allclose(x, [(0.2 * u / 0.1) ** 2, (0.2 * u / 0.05) ** 2], rtol=1e-9)
 
 
+def guarded(x, u, p, at):
+    """Two tanks as a careful owner writes them: below 0 no level has a slope."""
+    q1, q2 = (a * np.sqrt(np.maximum(h, 1e-5)) for a, h in ((p.a, x.h1), (p.b, x.h2)))
+    return {"h1": (0.3 - p.k) * u.u - q1, "h2": q1 - q2}
+
+
+@pytest.mark.parametrize("guess", [1e-3, 0.03, 1.0, 30.0])
+@pytest.mark.parametrize("level", [1e-4, 2e-3, 0.1, 2.0])
+def test_a_level_is_found_from_a_guess_far_above_or_below_it_without_limits(level, guess):
+    inflow = 0.1 * np.sqrt(level) / 0.1
+    x, _ = plant(guarded, TANKS, Start({"u": inflow}, TANKS, TANKS, {"h1": guess, "h2": guess})).equilibrium()
+    np.testing.assert_allclose(x, [level, 4.0 * level], rtol=1e-9)
+
+
 def shared(x, u, p, at):
     """Two tanks in a row, of which the first gets what a share k leaves it of the inflow."""
     return {"h1": (0.3 - p.k) * u.u - p.a * np.sqrt(x.h1), "h2": p.a * np.sqrt(x.h1) - p.b * np.sqrt(x.h2)}
