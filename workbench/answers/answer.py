@@ -51,21 +51,23 @@ class Answer(ABC):
         return "\n".join([*lines[:SHOWN], *(["..."] if len(lines) > SHOWN else [])])
 
     def plot(self, title: str = "") -> Picture:
-        """The picture of the page that shows most, or the first whose title begins with `title`; a notebook draws it.
+        """The first picture of the page whose title begins with `title`; a notebook draws it.
 
         Raises InputError where there is none.
         """
-        drawn = [block for section in self.report().sections for block in section.blocks if isinstance(block, Picture)]
+        drawn = self._pictures()
         for picture in drawn:
             if picture.title.startswith(title):
                 return picture
         known = "; ".join(picture.title for picture in drawn) or "none"
         raise InputError(f"no picture {title!r}", mend=f"there is: {known}")
 
+    def _pictures(self) -> list[Picture]:
+        return [block for section in self.report().sections for block in section.blocks if isinstance(block, Picture)]
+
     def _repr_html_(self) -> str:
-        first = next((b for s in self.report().sections for b in s.blocks if isinstance(b, Picture)), None)
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences)
-        return said + (first._repr_html_() if first else "")
+        return "".join([said, *(picture._repr_html_() for picture in self._pictures()[:1])])
 
 
 @record

@@ -130,8 +130,7 @@ class CalibrationResult(Answer):
         write_report(self.report(source), folder)
         return folder
 
-    def __repr__(self) -> str:
-        return self.said()
+    __repr__ = Answer.said
 
 
 def finite(value: float) -> float | None:

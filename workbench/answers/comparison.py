@@ -79,11 +79,15 @@ def comparison(title: str, results: Sequence[ScoredModel], records: Sequence[Exp
     if notes:
         sections.append(Section("Notes", (Text("\n\n".join(notes)),)))
     sections.append(Section("Numbers", (score_table(scores),)))
+    return Report(title, headline(results), (*sections, Section("Provenance", (Provenance(source),))))
+
+
+def headline(results: Sequence[ScoredModel]) -> str:
+    """What speaks against models, the free runs of the others, and what envelopes hold."""
     against = list(dict.fromkeys(sentence for result in results for sentence in result.against))
     kept = [s for result in results if not result.against for s in result.scores]
-    headline = [*(f"NOT HANDED OUT: {sentence}." for sentence in against), *([verdict(kept)] if kept else [])]
-    said = " ".join([*headline, *(covered_verdict(result.envelopes) for result in results if result.envelopes)])
-    return Report(title, said, (*sections, Section("Provenance", (Provenance(source),))))
+    said = [*(f"NOT HANDED OUT: {sentence}." for sentence in against), *([verdict(kept)] if kept else [])]
+    return " ".join([*said, *(covered_verdict(result.envelopes) for result in results if result.envelopes)])
 
 
 def verdict(scores: Sequence[Score]) -> str:

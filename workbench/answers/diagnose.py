@@ -6,6 +6,7 @@ found.save("runs/monday")       # diagnosis.json, extended.json, next_experiment
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +77,8 @@ class DiagnosisResult(Answer):
         """What is named, the strongest first."""
         return self.diagnosis.causes
 
-    @property
-    def plant(self) -> Plant:
+    @cached_property
+    def plant(self) -> Plant:  # one object, so that it is traced and compiled once
         """The extended plant. Raises NotHandedOutError where the referee objects and nobody has accepted it."""
         if not self.handed_out:
             raise refused("the extended plant", self.diagnosis.objections)
@@ -99,7 +100,7 @@ class DiagnosisResult(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """The contract of a diagnosis, with what was tested, what looks alike, and the errors at each stage; a NaN is None."""
-        return nullable(to_dict(self.diagnosis) | {"stages": [vars(e) for e in self.stages.errors]})
+        return to_dict(self.diagnosis) | {"stages": nullable([vars(e) for e in self.stages.errors])}
 
     def to_frame(self) -> Any:
         """Causes as a pandas table: effect, place, number, value, low, high, unit, sure. Raises ImportError without pandas."""
@@ -144,8 +145,7 @@ class DiagnosisResult(Answer):
         write_report(self.report(source), folder)
         return folder
 
-    def __repr__(self) -> str:
-        return self.said()
+    __repr__ = Answer.said
 
 
 # ---- files -------------------------------------------------------------------------------------------------------------------

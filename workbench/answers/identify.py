@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from workbench.answers.answer import Answer, Progress, Records, as_dataset, refused
-from workbench.answers.comparison import comparison, score_table
+from workbench.answers.comparison import comparison, headline, score_table
 from workbench.answers.envelopes import Method as IntervalMethod
 from workbench.answers.envelopes import described_modes, fit_outputs
 from workbench.answers.objections import refereed
@@ -117,7 +117,7 @@ class IdentificationResult(Answer):
     def sentences(self) -> list[str]:
         """Free-run FIT on held-out records, what the choice rests on, what speaks against a model."""
         chosen = [f"{_chosen(self.choice)}."] if self.choice else []
-        return [self._page({}).verdict, *chosen]
+        return [headline(self.results), *chosen]
 
     def to_dict(self) -> dict[str, Any]:
         """The scores file, provenance apart; a model that is not handed out has no file."""
@@ -134,7 +134,8 @@ class IdentificationResult(Answer):
 
     def report(self, source: Mapping[str, Any] | None = None) -> Report:
         """Scores, measured against simulated outputs, envelopes, residual tests."""
-        return self._page(source or self.records.source({}))
+        title = f"identify: {', '.join(result.model.name for result in self.results)}"
+        return comparison(title, self.results, tuple(self.records.shown), source or self.records.source({}))
 
     def save(self, folder: str | Path, *, source: Mapping[str, Any] | None = None) -> Path:
         """Write every model that is handed out, scores.json and report.html; returns the folder."""
@@ -142,7 +143,7 @@ class IdentificationResult(Answer):
         for result in self.kept:
             result.model.save(folder / result.file)
         write_json(folder / SCORES_FILE, scores_file(self._placed(folder), source))
-        write_report(self._page(source), folder)
+        write_report(self.report(source), folder)
         return folder
 
     def _placed(self, folder: Path | None) -> list[ScoredModel]:
@@ -150,12 +151,7 @@ class IdentificationResult(Answer):
         path = (lambda name: name) if folder is None else (lambda name: str(folder / name))
         return [replace(own, file=path(own.file) if own in self.kept else "") for own in self.results]
 
-    def _page(self, source: Mapping[str, Any]) -> Report:
-        title = f"identify: {', '.join(result.model.name for result in self.results)}"
-        return comparison(title, self.results, tuple(self.records.shown), source)
-
-    def __repr__(self) -> str:
-        return self.said()
+    __repr__ = Answer.said
 
 
 def scores_of(

@@ -36,9 +36,9 @@ class Extension:
         """
         if plant.name != self.plant:
             raise InputError(f"extends plant {self.plant!r}, not {plant.name!r}", file=file, mend=f"give {self.base} instead")
-        extended = replace(plant.with_parameters(self.parameters), effects=_together(plant.effects, self.effects))
+        extended = replace(plant, effects=_together(plant.effects, self.effects))
         extended.effect_vector()  # refuses what does not fit
-        return extended
+        return extended.with_parameters(self.parameters)  # last: what it traces is what is handed out
 
     def save(self, path: str | Path) -> Path:
         """Write the plant file (schema and version inside)."""
