@@ -22,7 +22,7 @@ from scipy.io import loadmat
 from scipy.signal import butter, sosfiltfilt
 
 from plants import POSITIONING_AXIS
-from workbench.answers.calibrate import PLANT_FILE
+from workbench.answers.answer import PLANT_FILE
 from workbench.answers.diagnose import DIAGNOSIS_FILE, to_dict
 from workbench.answers.verdict import sizes as described
 from workbench.answers.verdict import verdict as diagnosed

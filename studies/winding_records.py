@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from workbench.answers.answer import PLANT_FILE
 from workbench.answers.answer import Records as Split
-from workbench.answers.calibrate import PLANT_FILE
 from workbench.answers.diagnose import DIAGNOSIS_FILE, DiagnosisResult, to_dict
 from workbench.answers.verdict import sizes as described
 from workbench.data import Channel, Dataset, Experiment

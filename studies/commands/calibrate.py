@@ -10,7 +10,8 @@ from studies.cli import DONE
 from studies.commands.records import configuration, read_both
 from studies.referee import handed_out
 from studies.terminal import progress, say
-from workbench.answers.calibrate import CALIBRATION_FILE, PLANT_FILE, CalibrationResult, calibrate, error_said
+from workbench.answers.answer import PLANT_FILE
+from workbench.answers.calibrate import CALIBRATION_FILE, CalibrationResult, calibrate, error_said
 from workbench.diagnosis.calibrate import Bounds
 from workbench.errors import InputError
 from workbench.files import write_bytes
@@ -32,7 +33,7 @@ def run(options: Namespace) -> int:
         [*done.records.files, *chosen.files],
     )
     folder = done.save(run_folder(options.out, "calibrate"), base=chosen.base, source=source)
-    code = handed_out(done.calibration.objections, options.accept, say)
+    code = handed_out(done.objections, options.accept, say)
     for line in _table(done):
         say(line)
     if options.json:

@@ -8,7 +8,7 @@ from studies.commands.records import configuration, plant_again, read_both
 from studies.experiments import templates_of
 from studies.referee import handed_out
 from studies.terminal import progress, say
-from workbench.answers.calibrate import PLANT_FILE
+from workbench.answers.answer import PLANT_FILE
 from workbench.answers.diagnose import DIAGNOSIS_FILE, EXPERIMENT_FILE, diagnose
 from workbench.files import write_bytes
 from workbench.provenance import provenance
@@ -22,7 +22,7 @@ def run(options: Namespace) -> int:
         chosen.plant, own, held_out, templates=templates_of(chosen.machine), dt=options.dt, anyway=options.anyway,
         accept=options.accept, progress=progress,
     )  # fmt: skip
-    code = handed_out(found.diagnosis.objections, options.accept, say)
+    code = handed_out(found.objections, options.accept, say)
     for sentence in (*found.sentences, *(f"note: {note}" for note in found.notes)):
         say(sentence)
     progress("drawing")

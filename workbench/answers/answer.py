@@ -5,6 +5,7 @@ import html
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from workbench.data import Dataset, Experiment, check_held_out
 from workbench.decimation import thinned
 from workbench.diagnosis.check import check
 from workbench.errors import InputError, NotHandedOutError
+from workbench.physics.extension import Extension
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.records import record
@@ -21,8 +23,37 @@ from workbench.report.blocks import Picture, Report, Text
 
 Progress = Callable[[str], None]
 
+PLANT_FILE = "extended.json"
 WIDTH = 110  # characters of a line
 SHOWN = 12  # lines
+
+
+@record
+class Records:
+    """The records of an answer: what is fitted, what is held out, and what is odd about them, in sentences."""
+
+    own: Dataset
+    held_out: Dataset | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def shown(self) -> Dataset:
+        """The records that errors are told of: held-out ones where there are any."""
+        return self.held_out or self.own
+
+    @property
+    def files(self) -> list[str]:
+        """The files that they came from."""
+        return [e.file for e in (*self.own, *(self.held_out or ())) if e.file]
+
+    def source(self, configuration: Mapping[str, Any]) -> dict[str, Any]:
+        """Hashes of these files, or of the samples where there is no file (any more), what was asked, and versions."""
+        there = [path for path in self.files if Path(path).is_file()]
+        source = provenance({**configuration, "records": list(self.own.names)}, there)
+        for e in (*self.own, *(self.held_out or ())):
+            if e.file not in there:
+                source["data"][e.name] = hashlib.sha256(np.ascontiguousarray(e.values).tobytes()).hexdigest()
+        return source
 
 
 class Answer(ABC):
@@ -70,32 +101,47 @@ class Answer(ABC):
         return "".join([said, *(picture._repr_html_() for picture in self._pictures()[:1])])
 
 
-@record
-class Records:
-    """The records of an answer: what is fitted, what is held out, and what is odd about them, in sentences."""
+class PlantAnswer(Answer):
+    """An answer that is a plant: with fitted parameters, or extended by what was found.
 
-    own: Dataset
-    held_out: Dataset | None = None
-    notes: tuple[str, ...] = ()
+    nominal: the plant before. accepted: whether it is handed out although the referee objects.
+    """
 
-    @property
-    def shown(self) -> Dataset:
-        """The records that errors are told of: held-out ones where there are any."""
-        return self.held_out or self.own
+    nominal: Plant
+    records: Records
+    accepted: bool
 
     @property
-    def files(self) -> list[str]:
-        """The files that they came from."""
-        return [e.file for e in (*self.own, *(self.held_out or ())) if e.file]
+    @abstractmethod
+    def objections(self) -> tuple[str, ...]:
+        """Where it is worse on held-out records than the plant that it replaces."""
 
-    def source(self, configuration: Mapping[str, Any]) -> dict[str, Any]:
-        """Hashes of these files, or of the samples where there is no file (any more), what was asked, and versions."""
-        there = [path for path in self.files if Path(path).is_file()]
-        source = provenance({**configuration, "records": list(self.own.names)}, there)
-        for e in (*self.own, *(self.held_out or ())):
-            if e.file not in there:
-                source["data"][e.name] = hashlib.sha256(np.ascontiguousarray(e.values).tobytes()).hexdigest()
-        return source
+    @abstractmethod
+    def extension(self, base: str = "", source: Mapping[str, Any] | None = None) -> Extension:
+        """What was found, apart from the plant's equation; base: where the plant is found, by default its name."""
+
+    @property
+    def handed_out(self) -> bool:
+        return self.accepted or not self.objections
+
+    @cached_property
+    def plant(self) -> Plant:  # one object, so that it is traced and compiled once
+        """The plant of the answer. Raises NotHandedOutError where the referee objects and nobody has accepted it."""
+        if not self.handed_out:
+            raise refused(f"the plant {self.nominal.name}", self.objections)
+        return self.extension().of(self.nominal)
+
+    def source(self) -> dict[str, Any]:
+        """Where the numbers come from, unless a command says more of it."""
+        return self.records.source({"plant": self.nominal.name})
+
+    def save_plant(self, folder: Path, base: str, source: Mapping[str, Any]) -> str | None:
+        """The path of the plant file, which is written where it is handed out; one of a former answer is removed elsewhere."""
+        path = folder / PLANT_FILE
+        if self.handed_out:
+            return str(self.extension(base, source).save(path))
+        path.unlink(missing_ok=True)
+        return None
 
 
 def as_dataset(records: Any) -> Dataset:

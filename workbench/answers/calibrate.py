@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, Progress, Records, prepared, refused
+from workbench.answers.answer import Answer, PlantAnswer, Progress, Records, prepared
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.calibrate import Bounds, Calibration, Fitted, Trajectory, gains, trajectories
@@ -25,7 +25,6 @@ from workbench.report.blocks import Picture, Provenance, Report, Section, Table
 from workbench.report.figures import ParameterEstimate, Trace
 from workbench.report.page import write_report
 
-PLANT_FILE = "extended.json"
 CALIBRATION_FILE = "calibration.json"
 
 
@@ -51,7 +50,7 @@ def calibrate(
 
 
 @record
-class CalibrationResult(Answer):
+class CalibrationResult(PlantAnswer):
     """Fitted parameters with 95 % intervals, and the errors of the plant before and after.
 
     nominal: the plant before; before, after: both along the records that errors are told of.
@@ -66,15 +65,8 @@ class CalibrationResult(Answer):
     accepted: bool = False
 
     @property
-    def plant(self) -> Plant:
-        """The calibrated plant. Raises NotHandedOutError where the referee objects and nobody has accepted it."""
-        if not self.handed_out:
-            raise refused("the calibrated plant", self.calibration.objections)
-        return self.calibration.plant
-
-    @property
-    def handed_out(self) -> bool:
-        return self.accepted or not self.calibration.objections
+    def objections(self) -> tuple[str, ...]:
+        return self.calibration.objections
 
     @property
     def sentences(self) -> list[str]:
@@ -97,7 +89,7 @@ class CalibrationResult(Answer):
                 }
                 for g in self.gains
             ],
-            "objections": list(done.objections),
+            "objections": list(self.objections),
         }  # fmt: skip
 
     def report(self, source: Mapping[str, Any] | None = None) -> Report:
@@ -109,23 +101,17 @@ class CalibrationResult(Answer):
             Section("Errors before and after", (gain_table(self.gains, held_out),)),
             Section("Measured and simulated", tuple(traces(done.plant, runs))),
             Section("Starts and noise", (_start_table(done), _noise_table(done))),
-            Section("Provenance", (Provenance(source or self.records.source({"plant": self.nominal.name})),)),
+            Section("Provenance", (Provenance(source or self.source()),)),
         )
         return Report(f"Calibration of {done.plant.name}", " ".join(self.sentences), sections)
 
     def extension(self, base: str = "", source: Mapping[str, Any] | None = None) -> Extension:
-        """What was fitted, apart from the plant's equation; base: where the plant is found, by default its name."""
         return extension(self.nominal, base or self.nominal.name, self.calibration.values, {}, source)
 
     def save(self, folder: str | Path, *, base: str = "", source: Mapping[str, Any] | None = None) -> Path:
         """Write calibration.json, report.html and, where it is handed out, extended.json; returns the folder."""
-        folder, source = Path(folder), source or self.records.source({"plant": self.nominal.name})
-        plant_file = folder / PLANT_FILE
-        if self.handed_out:
-            self.extension(base, source).save(plant_file)
-        else:
-            plant_file.unlink(missing_ok=True)  # that of a former calibration
-        file = str(plant_file) if self.handed_out else None
+        folder, source = Path(folder), source or self.source()
+        file = self.save_plant(folder, base, source)
         write_json(folder / CALIBRATION_FILE, self.to_dict() | {"file": file, "provenance": dict(source)})
         write_report(self.report(source), folder)
         return folder

@@ -6,14 +6,13 @@ found.save("runs/monday")       # diagnosis.json, extended.json, next_experiment
 """
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, Progress, Records, prepared, refused, texts
-from workbench.answers.calibrate import PLANT_FILE, traces
+from workbench.answers.answer import Answer, PlantAnswer, Progress, Records, prepared, texts
+from workbench.answers.calibrate import traces
 from workbench.answers.verdict import ended, next_step, sentences, stated, where
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.answer import Cause, Diagnosis, Finding, NextExperiment
@@ -58,7 +57,7 @@ def diagnose(
 
 
 @record
-class DiagnosisResult(Answer):
+class DiagnosisResult(PlantAnswer):
     """What was found on records of a plant. nominal: the plant before; stages: it along the records that errors are told of."""
 
     nominal: Plant
@@ -77,16 +76,9 @@ class DiagnosisResult(Answer):
         """What is named, the strongest first."""
         return self.diagnosis.causes
 
-    @cached_property
-    def plant(self) -> Plant:  # one object, so that it is traced and compiled once
-        """The extended plant. Raises NotHandedOutError where the referee objects and nobody has accepted it."""
-        if not self.handed_out:
-            raise refused("the extended plant", self.diagnosis.objections)
-        return self.extension().of(self.nominal)
-
     @property
-    def handed_out(self) -> bool:
-        return self.accepted or not self.diagnosis.objections
+    def objections(self) -> tuple[str, ...]:
+        return self.diagnosis.objections
 
     @property
     def sentences(self) -> list[str]:
@@ -115,10 +107,9 @@ class DiagnosisResult(Answer):
 
     def report(self, source: Mapping[str, Any] | None = None) -> Report:
         """Verdict, causes in their domains, held-out runs, parameters, what is left, what to measure next, limits."""
-        return page(self, source or self.records.source({"plant": self.nominal.name}))
+        return page(self, source or self.source())
 
     def extension(self, base: str = "", source: Mapping[str, Any] | None = None) -> Extension:
-        """What was found, apart from the plant's equation; base: where the plant is found, by default its name."""
         found = self.diagnosis
         return extension(self.nominal, base or self.nominal.name, found.parameters, found.effects, source)
 
@@ -127,12 +118,8 @@ class DiagnosisResult(Answer):
 
         Files of a former diagnosis that would say otherwise are removed. Returns the folder.
         """
-        folder, source = Path(folder), source or self.records.source({"plant": self.nominal.name})
-        todo, plant_file = self.diagnosis.next_experiment, folder / PLANT_FILE
-        if self.handed_out:
-            self.extension(base, source).save(plant_file)
-        else:
-            plant_file.unlink(missing_ok=True)
+        folder, source = Path(folder), source or self.source()
+        todo, plant_file = self.diagnosis.next_experiment, self.save_plant(folder, base, source)
         if todo and todo.signals:
             write_csv(_experiment(self.nominal, todo), folder / EXPERIMENT_FILE)
         else:
@@ -140,7 +127,7 @@ class DiagnosisResult(Answer):
         content = self.to_dict()
         if todo and todo.signals:
             content["next_experiment"]["file"] = str(folder / EXPERIMENT_FILE)
-        content["extended"] = str(plant_file) if self.handed_out else None
+        content["extended"] = plant_file
         write_json(folder / DIAGNOSIS_FILE, content | {"provenance": dict(source)})
         write_report(self.report(source), folder)
         return folder
