@@ -7,7 +7,7 @@ Before it is handed out the controller runs its loop once, on the plant where on
 (`controllers.trial`): frozen margins do not say that a loop holds its machine.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from workbench.records import field, record
 KNOTS = 5  # schedule values with gains of their own
 
 Numbers = Mapping[str, float]
+Say = Callable[[str], None]
 
 
 @record
@@ -54,25 +55,25 @@ class ScheduledPIDDesign:
     feedforward: bool = True
     robust_to: tuple[LPVModel, ...] = ()
 
-    def design(self, model: LPVModel) -> PIDDesign:
+    def design(self, model: LPVModel, progress: Say = lambda _: None) -> PIDDesign:
         """The controller with its margins at every schedule value. Raises InputError where none keeps the bounds."""
         _check_model(model)
-        limits = {key: _by_channel(getattr(self, key), model.inputs, model.name, default) for key, default in _LIMITS.items()}
+        limits = command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model)
         structure = Structure(
             derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
         )  # fmt: skip
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
         knots = 1 if model.schedule is None else self.knots
-        usual = _setpoint(self.setpoint, model)
         return design_pid(
-            model, knots=knots, bounds=bounds, structure=structure, setpoint=usual, robust_to=self.robust_to
+            model, knots=knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
+            robust_to=self.robust_to, say=progress,
         )  # fmt: skip
 
     def on(self, model: LPVModel, plant: Plant | None = None, *, accept: bool = False) -> ScheduledPID:
         """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
         and nobody accepts it all the same.
         """
-        return _after_trial(self.design(model).law, model, plant, _setpoint(self.setpoint, model), accept)
+        return _after_trial(self.design(model).law, model, plant, setpoint_of(self.setpoint, model), accept)
 
 
 @record
@@ -108,17 +109,14 @@ class MPCDesign:
         fallback = self.fallback
         if fallback is None:
             fallback = ScheduledPIDDesign(low=self.low, high=self.high, rate=self.rate, setpoint=self.setpoint).design(model).law
-        low, high, rate = (_by_channel(getattr(self, key), model.inputs, model.name, getattr(fallback, key)) for key in _LIMITS)
         lowest, highest = ({y: ends[i] for y, ends in self.keep.items()} for i in (0, 1))
         law = design_mpc(
-            model, fallback, horizon=self.horizon, weights=default_weights(model, self.move), low=low, high=high, rate=rate,
-            y_low=_by_channel(lowest, model.outputs, model.name, -np.inf),
-            y_high=_by_channel(highest, model.outputs, model.name, np.inf),
+            model, fallback, horizon=self.horizon, weights=default_weights(model, self.move),
+            y_low=by_channel("output", lowest, model.outputs, model.name, -np.inf),
+            y_high=by_channel("output", highest, model.outputs, model.name, np.inf),
+            **command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model, fallback),
         )  # fmt: skip
-        return _after_trial(law, model, plant, _setpoint(self.setpoint, model), accept)
-
-
-_LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}
+        return _after_trial(law, model, plant, setpoint_of(self.setpoint, model), accept)
 
 
 def _check_model(model: Any) -> None:
@@ -126,22 +124,40 @@ def _check_model(model: Any) -> None:
         raise InputError(f"a {type(model).__name__}, expected an LPV model", mend="wb.identify(data).model, wb.load_model(FILE)")
 
 
-def _by_channel(given: Numbers, channels: Sequence[Channel], file: str, default: Any) -> np.ndarray:
+def command_limits(given: Mapping[str, Numbers], model: LPVModel, fallback: ScheduledPID | None = None) -> dict[str, Any]:
+    """low, high and rate (nu,) as given, the rest those of the fallback law, else none; None where nothing is given.
+
+    Raises InputError for inputs that the model does not have, and for a rate that is not above 0.
+    """
+    found: dict[str, Any] = {}
+    for key, none in (("low", -np.inf), ("high", np.inf), ("rate", np.inf)):
+        own = given[key]
+        default = none if fallback is None else getattr(fallback, key)
+        found[key] = by_channel("input", own, model.inputs, model.name, default) if own else None
+    for c, rate in zip(model.inputs, [] if found["rate"] is None else found["rate"], strict=False):
+        if not rate > 0.0:
+            mend = f"the largest change of {c.name} per second, in {c.unit or 'its unit'}: a number above 0"
+            raise InputError(f"--rate {c.name}={rate:g}", channel=c.name, mend=mend)
+    return found
+
+
+def by_channel(kind: str, given: Numbers, channels: Sequence[Channel], file: str, default: Any) -> np.ndarray:
     """Numbers (n,) in the order of the channels; `default` where none is given. Raises InputError for an unknown channel."""
     known = [c.name for c in channels]
     for name in given:
-        check_known("channel", name, known, file=file)
+        check_known(kind, name, known, file=file)
     usual = np.broadcast_to(np.asarray(default, dtype=float), len(known))
     return np.array([float(given.get(name, own)) for name, own in zip(known, usual, strict=True)])
 
 
-def _setpoint(given: Numbers, model: LPVModel) -> list[float] | None:
+def setpoint_of(given: Numbers, model: LPVModel) -> list[float] | None:
     """The usual set-point in the order of the outputs, None where none is given."""
     if not given:
         return None
-    values = _by_channel(given, model.outputs, model.name, np.nan)
+    values = by_channel("output", given, model.outputs, model.name, np.nan)
     if missing := [c.name for c, value in zip(model.outputs, values, strict=True) if np.isnan(value)]:
-        raise InputError(f"no set-point for {', '.join(missing)}", file=model.name, mend="give one for every output, or none")
+        every = ",".join(f"{c.name}=..." for c in model.outputs)
+        raise InputError(f"no set-point for {', '.join(missing)}", mend=f"give one for every output, {every}, or none")
     return values.tolist()
 
 

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from controllers.designs import KNOTS, ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pid_design import (
     Margins,
     PIDDesign,
-    Structure,
     closed_loop,
-    design_pid,
     frequencies,
     loops_of,
     worst_margins,
@@ -42,12 +41,10 @@ from workbench.report.blocks import Block, Report, Section, Table
 from workbench.report.page import write_report
 
 Say = Callable[[str], None]
-LIMITS = {"low": -np.inf, "high": np.inf, "rate": np.inf}  # options of the commands, and what none given means
 POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn
 WIDTHS = np.array([-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0, 4.0])  # of a peak, at which it is drawn
 FROZEN, STEP = 15, 4.0  # schedule values at which one can look at a loop; s of a step response
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
-KNOTS = 5
 
 
 def design(options: Namespace, say: Say, progress: Say) -> int:
@@ -203,31 +200,31 @@ def _finished(options: Namespace, folder: Path, path: Path | None, result: dict,
 
 def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PIDDesign:
     """The PID that the options ask for."""
-    bounds = _bounds(options)
-    structure = Structure(
-        derivative=not options.no_derivative,
-        Tf=options.filter,
-        b=options.setpoint_weight,
-        feedforward=not options.no_feedforward,
-        **_limits(options, model),
-    )
-    return design_pid(
-        model, knots=_knots(options, kind, model), bounds=bounds, structure=structure,
-        setpoint=_setpoint(options.setpoint, model), robust_to=[load_model(path) for path in options.robust_to], say=progress,
+    for name in ("sensitivity", "complementary", "effort"):
+        if not getattr(options, name) > 1.0:
+            raise InputError(f"--{name} {getattr(options, name):g}", mend="no loop does with 1 or less; 1.2 to 2 is usual")
+    design = ScheduledPIDDesign(
+        options.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
+        **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
+        filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
+        robust_to=tuple(load_model(path) for path in options.robust_to),
     )  # fmt: skip
+    return design.design(model, progress)
 
 
-def _limits(options: Namespace, model: LPVModel, fallback: ScheduledPID | None = None) -> dict[str, np.ndarray | None]:
-    """low, high and rate (nu,) as given, else those of the fallback law, else none; None where nothing is given."""
-    found = {}
-    for key, none in LIMITS.items():
-        default = np.full(len(model.inputs), none) if fallback is None else getattr(fallback, key)
-        found[key] = _by_name(getattr(options, key), model, default)
-    for c, rate in zip(model.inputs, [] if found["rate"] is None else found["rate"], strict=False):
-        if not rate > 0.0:
-            mend = f"the largest change of {c.name} per second, in {c.unit or 'its unit'}: a number above 0"
-            raise InputError(f"--rate {c.name}={rate:g}", channel=c.name, mend=mend)
-    return found
+def _given(texts: list[str]) -> dict[str, float]:
+    """Numbers by channel from V1=0,V2=0."""
+    return parse_numbers(part for text in texts for part in names(text))
+
+
+def _limited(options: Namespace) -> dict[str, dict[str, float]]:
+    """The limits of commands by input, as they were typed."""
+    return {key: _given(getattr(options, key)) for key in ("low", "high", "rate")}
+
+
+def _limits(options: Namespace, model: LPVModel, fallback: ScheduledPID) -> dict[str, Any]:
+    """low, high and rate (nu,) as given, the rest those of the fallback law; None where nothing is given."""
+    return command_limits(_limited(options), model, fallback)
 
 
 def _say_limits(law: Any, model: LPVModel, say: Say) -> None:
@@ -255,13 +252,6 @@ def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | No
             say(f"warning: {c.name}: its limits, {low:g} to {high:g} {c.unit}, do not let it hold this set-point everywhere")
 
 
-def _bounds(options: Namespace) -> Bounds:
-    for name in ("sensitivity", "complementary", "effort"):
-        if not getattr(options, name) > 1.0:
-            raise InputError(f"--{name} {getattr(options, name):g}", mend="no loop does with 1 or less; 1.2 to 2 is usual")
-    return Bounds(options.sensitivity, options.complementary, options.effort)
-
-
 def _knots(options: Namespace, kind: str, model: LPVModel) -> int | list[float]:
     if kind == "pid":
         if options.knots is not None:
@@ -274,15 +264,6 @@ def _knots(options: Namespace, kind: str, model: LPVModel) -> int | list[float]:
     if options.knots == 1:
         raise InputError("1 knot", mend="a scheduled law has two or more; for one: workbench design pid")
     return options.knots or KNOTS
-
-
-def _by_name(texts: list[str], model: LPVModel, default: np.ndarray) -> np.ndarray | None:
-    """Numbers by input from V1=0,V2=0, the rest as by default; None where none is given."""
-    given = parse_numbers(part for text in texts for part in names(text))
-    known = [c.name for c in model.inputs]
-    for name in given:
-        check_known("input", name, known, file=model.name)
-    return np.array([given.get(name, own) for name, own in zip(known, default, strict=True)]) if given else None
 
 
 def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
@@ -303,14 +284,7 @@ def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
-    given = parse_numbers(part for text in texts for part in names(text))
-    known = [c.name for c in model.outputs]
-    for name in given:
-        check_known("output", name, known, file=model.name)
-    if given and len(given) < len(known):
-        missing = [name for name in known if name not in given]
-        raise InputError(f"no set-point for {', '.join(missing)}", mend=f"give --setpoint {','.join(f'{n}=...' for n in known)}")
-    return [given[name] for name in known] if given else None
+    return setpoint_of(_given(texts), model)
 
 
 def design_pictures(

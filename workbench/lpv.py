@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "gain-scheduling-workbench/lpv-model"
 VERSION = 1
+MUCH = 0.02  # widths of a schedule range, by which a record may leave it unsaid
 CHUNK = 4096  # samples whose scheduled matrices are held at once
 
 

@@ -15,13 +15,13 @@ from studies.terminal import say
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
+from workbench.lpv import MUCH
 from workbench.physics.controller import Loop
 from workbench.physics.plant import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_file, write_csv
 
 DURATION = 60.0  # s, of a loop that holds its set-points
-MUCH = 0.02  # of the width of a schedule range, by which a record may leave it unsaid
 
 
 def run(options: Namespace) -> int:

@@ -26,14 +26,13 @@ from workbench.identification import METHODS
 from workbench.identification.selection import Choice, Method, choose
 from workbench.intervals.coverage import cover
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel
+from workbench.lpv import MUCH, LPVModel
 from workbench.metrics import Horizon, Score, score
 from workbench.records import record
 from workbench.report.blocks import Report
 from workbench.report.page import write_report
 
 SCORES_FILE = "scores.json"
-MUCH = 0.02  # of the width of a schedule range, by which a record may leave it unsaid
 
 
 def identify(
