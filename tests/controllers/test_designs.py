@@ -67,6 +67,15 @@ def test_a_controller_that_loses_its_loop_is_not_handed_out(model, monkeypatch):
     assert isinstance(ScheduledPIDDesign().on(model, accept=True), ScheduledPID)
 
 
+def test_a_controller_is_tried_on_the_plant_that_is_given_and_at_the_usual_set_point(model, monkeypatch):
+    asked = []
+    monkeypatch.setattr("controllers.designs.tried", lambda *given: asked.append(given) or Trial("", "", ""))
+    plant = object()
+    for design in (ScheduledPIDDesign(setpoint={"y": 0.5}), MPCDesign(setpoint={"y": 0.5})):
+        law = design.on(model, plant)
+        assert asked[-1] == (law, model, plant, [0.5])
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -139,8 +139,11 @@ class IdentificationResult(Answer):
     def save(self, folder: str | Path, *, source: Mapping[str, Any] | None = None) -> Path:
         """Write every model that is handed out, scores.json and report.html; returns the folder."""
         folder, source = Path(folder), dict(source or self.records.source({}))
-        for result in self.kept:
-            result.model.save(folder / result.file)
+        for result in self.results:
+            if result in self.kept:
+                result.model.save(folder / result.file)
+            else:
+                (folder / result.file).unlink(missing_ok=True)  # that of a former identification
         write_json(folder / SCORES_FILE, scores_file(self._placed(folder), source))
         write_report(self.report(source), folder)
         return folder

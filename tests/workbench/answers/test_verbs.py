@@ -116,6 +116,19 @@ def test_an_answer_says_itself_in_a_few_lines_and_draws_its_page(found, done):
         found.plot("nothing of the kind")
 
 
+def test_an_answer_says_itself_without_drawing_and_its_plant_is_one_object(found, done, files, monkeypatch):
+    data = wb.read(files[0], **ROLES)
+    models = wb.identify(data, methods={"lti": wb.LTI(order=2)})
+    said = models.report().verdict
+    monkeypatch.setattr(Answer, "report", lambda *_: 1 / 0)
+    for answer in (found, done, models):
+        monkeypatch.setattr(type(answer), "report", lambda *_: 1 / 0)
+        assert repr(answer)
+    assert models.sentences[0] == said
+    assert found.plant is found.plant
+    assert done.plant is done.plant
+
+
 def test_what_the_referee_objects_to_is_not_handed_out_unless_it_is_accepted(found, done, tmp_path):
     worse = (
         replace(found, diagnosis=replace(found.diagnosis, objections=(OBJECTION,))),
@@ -182,7 +195,12 @@ def test_a_leaking_model_is_not_handed_out(tmp_path):
         _ = answer.model
     answer.save(tmp_path)
     assert not (tmp_path / "lti.json").exists()
-    assert replace(answer, accepted=True).model.order == 2
+    taken = replace(answer, accepted=True)
+    assert taken.model.order == 2
+    taken.save(tmp_path)
+    assert (tmp_path / "lti.json").exists()
+    answer.save(tmp_path)
+    assert not (tmp_path / "lti.json").exists()  # that of the former answer
 
 
 def test_roles_that_are_missing_are_asked_for_in_both_languages(files):
