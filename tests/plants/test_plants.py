@@ -114,7 +114,7 @@ def test_neutral_effects_are_exactly_no_effects(plant):
         assert plant.drive(u, eta, t) == list(u)
         z = np.array(plant.output(x, p), dtype=float)
         each = len(plant.memories) // len(z)
-        kept = plant.remember(np.repeat(z - 1, each), z - 1, z, 0.01, eta)
+        kept = plant.remember(np.repeat(z - 1, each), z - 1, z - 0.3, z, 0.01, eta)
         assert np.array_equal(kept[each - 2 :: each], z)  # the last effect with memory keeps two numbers, the reading first
         assert np.array_equal(plant.read(kept, np.full(len(z), 0.01), eta), z + 0.01)
 

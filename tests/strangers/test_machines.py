@@ -8,7 +8,7 @@ import pytest
 
 from tests.strangers import bench, cart_pendulum, conical_tank, crane, quarter_car, servo, two_mass
 from tests.strangers.bench import Run, run
-from tests.strangers.case import _Bench, _hidden, _tried, course, draw, keys_of, largest, setting
+from tests.strangers.case import Hidden, _Bench, _hidden, _tried, course, draw, keys_of, largest, setting
 from tests.strangers.registry import _MODULES, MACHINES
 from tests.strangers.yardstick import Tried, _repeated
 from workbench.physics.controller import Playback
@@ -260,6 +260,18 @@ def sensed(own, z, h=1e-3):
 def test_slow_sensors_follow_a_ramp_late_by_their_time(own, late):
     t = 1e-3 * np.arange(2001)
     assert sensed(own, 2.0 + 3.0 * t)[-1] == pytest.approx(2.0 + 3.0 * (2.0 - late), abs=1e-6)
+
+
+def test_records_behind_a_fast_resonance_do_not_depend_on_the_step():
+    machine = MACHINES["conical-tank"]
+    swinging = (Hidden("sensor-resonance", "level", {"time": 0.028, "damping": 0.3}, 5.0),)
+
+    def levels(fine, truth):
+        s = setting(machine, np.random.default_rng([3, 2]))._replace(noise=(0.0,), resolution=None)
+        return _Bench(s._replace(machine=machine._replace(fine=fine)), 3).run(truth, 1).measured
+
+    clean, exact = levels(machine.fine / 8, ()), levels(machine.fine / 64, swinging)
+    assert np.abs(levels(machine.fine, swinging) - exact).max() < 0.02 * np.abs(exact - clean).max()
 
 
 def test_play_of_a_sensor_stands_still_after_a_reversal():

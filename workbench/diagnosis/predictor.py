@@ -341,7 +341,7 @@ class Predictor:
         for c, j in enumerate(active):
             x[j, 1 + c] += step[j]
         z = [np.broadcast_to(v, x.shape[1:]) for v in plant.output(list(x[:nx]), self.point.p, list(r.u.T))]
-        m = plant.remember(list(x[first:]), z, z, 0.0, eta)
+        m = plant.remember(list(x[first:]), z, z, z, 0.0, eta)
         y = np.array([np.broadcast_to(v, x.shape[1:]) for v in plant.read(m, [0.0] * len(z), eta)])
         return ((y[:, 1:] - y[:, :1]) / step[active, None]).transpose(2, 0, 1)
 

@@ -149,6 +149,7 @@ from numba import njit
 from workbench.physics import elementary
 
 LANES = {lanes}
+HALFWAY = np.array([5.0 / 24.0, 1.0 / 6.0, 1.0 / 6.0, -1.0 / 24.0])  # dense output of the Runge-Kutta step, of order three
 {tables}
 
 @njit("void(f8[::1], b1[::1])", cache=True, nogil=True, error_model="numpy")
@@ -234,6 +235,7 @@ _CORRECT = """        # the state before the next step: given for every sample a
             for l in range(LANES if remembering else 0):
                 W[{h} * LANES + l] = 0.0  # a step of no length: what a new output tells the sensors at once
             for i in range({ny} if remembering else 0):
+                elementary.copy_row(W, {midway} + i, W, {before} + i, LANES)
                 elementary.copy_row(W, {after} + i, W, {before} + i, LANES)
             if remembering:
                 remember(W, on)
@@ -267,6 +269,7 @@ _INTEGRATE = (
             for i in range({nx}):
                 elementary.copy_row(W, {stage} + i, W, {x} + i, LANES)
                 elementary.copy_row(W, {sum} + i, W, {x} + i, LANES)
+                elementary.copy_row(W, {halfway} + i, W, {x} + i, LANES)
             for q in range(4):
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
@@ -275,11 +278,18 @@ _INTEGRATE = (
     + """                for l in range(LANES):
                     h = W[{h} * LANES + l]
 {rising}
+                # the same four slopes, otherwise weighted, lead to the middle of the step
+                between = HALFWAY[q]
+                for i in range({nx} if remembering else 0):
+                    for l in range(LANES):
+                        W[({halfway} + i) * LANES + l] += between * W[{h} * LANES + l] * W[({slope} + i) * LANES + l]
                 if q == 0 or q == 2:
                     for l in range(LANES):
                         W[{t} * LANES + l] += 0.5 * W[{h} * LANES + l]
             for i in range({nx}):
                 elementary.copy_row(W, {x} + i, W, {sum} + i, LANES)
+            for l in range(LANES if remembering else 0):
+{midst}
             if remembering or s == len(step) - 1:
                 for l in range(LANES):
 {measure}
@@ -304,6 +314,9 @@ _ARRIVE = """        # what acts in a sample is the mean of its hold: a dead tim
 {measure}
         for l in range(LANES):
             W[{h} * LANES + l] = dt
+        for i in range({ny}):  # between two samples nothing is known: a straight line
+            for l in range(LANES):
+                W[({midway} + i) * LANES + l] = 0.5 * (W[({before} + i) * LANES + l] + W[({after} + i) * LANES + l])
         remember(W, on)
         for i in range({ny}):
             elementary.copy_row(W, {before} + i, W, {after} + i, LANES)
@@ -323,7 +336,7 @@ _CONTINUOUS = "".join([_HEAD, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRAT
 _DISCRETE = "".join([_HEAD, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
 _INDENT = {
     "once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "drifting": 24, "rising": 20,
-    "measure": 20,
+    "midst": 16, "measure": 20,
 }  # fmt: skip
 _INDENT_DISCRETE = _INDENT | {"rates": 16, "nominal": 16, "drifting": 16, "measure": 12}
 

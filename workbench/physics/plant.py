@@ -415,11 +415,11 @@ class Plant:
             for name, own in zip(self.commanded, shares(gaps, len(self.commanded)), strict=True)
         }
 
-    def remember(self, memory, z0, z1, h, eta) -> list:
-        """Sensor memories (nm values) after a step of length h in which the physical outputs went from z0 to z1."""
+    def remember(self, memory, z0, zm, z1, h, eta) -> list:
+        """Sensor memories (nm values) after a step of length h in which the physical outputs went from z0 over zm to z1."""
         after, own = [], shares(memory, len(self.outputs))
         for i, (sensor, effects) in enumerate(self._sensors(eta)):
-            after += sensor.remember(effects, own[i], z0[i], z1[i], h)
+            after += sensor.remember(effects, own[i], z0[i], zm[i], z1[i], h)
         return after
 
     def settle(self, z, eta) -> list:

@@ -90,8 +90,8 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     all_states = nx + na + len(plant.inner)
     sizes = {
         "x": all_states, "stage": all_states, "sum": all_states, "slope": all_states, "mem": len(plant.memories), "drift": nx,
-        "surge": nu, "coloured": ny, "before": ny,
-        "after": ny, "y": ny, "error": ny, "u": nu, "v": nu, "w": nu, "r": len(controller.references),
+        "surge": nu, "coloured": ny, "before": ny, "halfway": all_states, "midway": ny, "after": ny, "y": ny, "error": ny,
+        "u": nu, "v": nu, "w": nu, "r": len(controller.references),
         "c": len(controller.init()), "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1,
         "h": 1, "gaps": len(plant.gaps), "last": len(plant.swinging), "rate": len(plant.swinging),
     }  # fmt: skip
@@ -112,11 +112,12 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "control": (["c", "r", "y", "g", "u"], ["u", "c"]),
         "drive": (["u", "eta", "t", "gaps", "last"], ["v", "gaps", "last", "rate"]),
         "show": (["x", *direct, "p"], ["before"]),
+        "midst": (["halfway", *direct, "p"], ["midway"]),
         "measure": (["x", *direct, "p"], ["after"]),
         "rates": ([*within, *names], ["slope"]),
         "nominal": (within, ["slope"]),
         **{name: ([*within, *names[:j]], [name]) for j, name in enumerate(names)},
-        **{name: (["mem", "before", "after", "h", "eta"], [name]) for name in sensors},
+        **{name: (["mem", "before", "midway", "after", "h", "eta"], [name]) for name in sensors},
     }
     codes: dict[str, Code] = {
         name: print_function(functions[name], rows, arguments, results, constant={"p", "eta", "g"})
@@ -143,6 +144,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     absent = ca.vertcat(ca.SX.zeros(stood.numel(), 1), ca.SX(plant.effect_vector()))
     bare = ca.substitute(slope, ca.vertcat(stood, s["eta"]), absent)  # without effects: faster
     mem, before = ca.SX.sym("mem", len(plant.memories)), ca.SX.sym("before", len(plant.outputs))
+    midway = ca.SX.sym("midway", len(plant.outputs))
     gaps, last, error = (
         ca.SX.sym("gaps", len(plant.gaps)), ca.SX.sym("last", len(plant.swinging)), ca.SX.sym("error", len(plant.outputs))
     )  # fmt: skip
@@ -151,7 +153,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
     with symbolic_numpy():
         after = plant.output(entries(full), p, u)
-        memory = plant.remember(entries(mem), entries(before), entries(reached), h, eta)
+        memory = plant.remember(entries(mem), entries(before), entries(midway), entries(reached), h, eta)
         reading = plant.read(entries(mem), entries(error), eta)
         acting = plant.drive(u, eta, s["t"], entries(gaps))
         crossed = plant.cross_gaps(u, eta, s["t"], entries(gaps))
@@ -173,9 +175,9 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         "nominal": ca.Function("nominal", list(s.values()), [bare]),
         **{f"part{j}": ca.Function(f"part{j}", within[: len(s) + j], [part.values]) for j, part in enumerate(parts)},
         "show": ca.Function("show", seen, [column(after)]),
-        "measure": ca.Function("measure", seen, [column(after)]),
+        **{name: ca.Function(name, seen, [column(after)]) for name in ("midst", "measure")},
         **{
-            f"sensor{i}": ca.Function(f"sensor{i}", [mem, before, reached, h, s["eta"]], [column(own)])
+            f"sensor{i}": ca.Function(f"sensor{i}", [mem, before, midway, reached, h, s["eta"]], [column(own)])
             for i, own in enumerate(shares(memory, len(plant.outputs)))
         },
     }

@@ -93,7 +93,7 @@ def test_the_equation_of_a_slow_sensor_holds_along_a_step(name):
     own = sizes(effect)
     m, run = [0.2] * effect.memories, []
     for _ in range(3):
-        m = effect.law(Named(own), m, z, z, h)
+        m = effect.law(Named(own), m, z, z, z, h)
         run.append(float(m[0]))
     slope, bend = (run[2] - run[0]) / (2 * h), (run[2] - 2 * run[1] + run[0]) / h**2
     values = FUNCTIONS | own | {"z": z, "reading": run[1], "reading_rate": slope, "reading_second": bend}

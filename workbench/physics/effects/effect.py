@@ -97,7 +97,8 @@ class Effect:
     regular: the response is smooth in the sizes at 0; otherwise `grid` holds finite sizes to try, in grid_unit.
     phase: the sizes (cosine, sine) hold a phase that differs from record to record; their amplitude does not.
     state: it has a state of its own, integrated with those of the plant. memories: numbers that it keeps from one step, or of an
-    actuator from one sample, to the next. includes: ids of effects that it becomes for some of its numbers.
+    actuator from one sample, to the next. middle: the law of a sensor is also given the quantity in the middle of the step.
+    includes: ids of effects that it becomes for some of its numbers.
     """
 
     id: str
@@ -114,6 +115,7 @@ class Effect:
     phase: bool = False
     state: bool = False
     memories: int = 0
+    middle: bool = False
     includes: tuple[str, ...] = ()
 
     def __post_init__(self):

@@ -1,9 +1,11 @@
 """Effects between a physical quantity and its logged value, in the order in which they act.
 
 Those with memory come first. They keep their output m and what else they need from step to step:
-m+ = law(e, m, z0, z1, h), where z0, z1 are the input at the two ends of an integrator step of length h [s]; lag and resonance
-are exact for an input that is linear within the step. Then follow static maps of the reading, law(e, z) -> reading; the noise
-of the record is added before the last of them, the converter, so that a quantised record holds whole steps.
+m+ = law(e, m, z0, z1, h), where z0, z1 are the input at the two ends of an integrator step of length h [s]. Lag and resonance
+also see the middle of the step, and are exact for an input that is a parabola within it: on a straight line a resonance faster
+than the step is seen too slow, for what the line leaves out, of the order of damping * time * h, is as large as time^2.
+Then follow static maps of the reading, law(e, z) -> reading; the noise of the record is added before the last of them, the
+converter, so that a quantised record holds whole steps.
 """
 
 from collections.abc import Callable
@@ -21,38 +23,49 @@ def _backlash(e, m, z0, z1, h):
     return [np.maximum(z1 - e.half_width, np.minimum(z1 + e.half_width, m[0]))]
 
 
-def _line(on, z0, z1, h):
-    """Slope and end of the line from z0 to z1; a jump in no time has not yet been felt, unless the effect is off."""
-    slope = (z1 - z0) * h / (h * h + 1e-24)
-    return slope, z1 - on * (z1 - z0 - slope * h)
+def _parabola(time, z0, zm, z1, h):
+    """End, mean slope, bend (half the change of slope) and second derivative of the parabola through a step.
+
+    A jump in no time has not yet been felt, unless the effect is off (time 0). In a step far shorter than the effect's own time
+    a bend does nothing but lose digits: the step is straight.
+    """
+    per_second = h / (h * h + 1e-24)
+    slope = (z1 - z0) * per_second
+    long = h**4 / (h**4 + (1e-4 * time) ** 4 + 1e-48)
+    bend = long * (2.0 * (z0 + z1) - 4.0 * zm) * per_second
+    return z1 - (time > 0.0) * (z1 - z0 - slope * h), slope, bend, 2.0 * bend * per_second
 
 
 def _fade(exponent, on):
     return np.exp(-np.minimum(exponent, 700.0)) * on
 
 
-def _lag(e, m, z0, z1, h):
-    # time y' = z - y: the line it will follow, and the distance from it that fades; at time 0 the output is z1
-    on = e.time > 0.0
-    slope, end = _line(on, z0, z1, h)
-    behind = e.time * slope
-    fade = _fade(h / np.maximum(e.time, 1e-12), on)
-    return [end - behind + (m[0] - z0 + behind) * fade]
+def _lag(e, m, z0, zm, z1, h):
+    # time y' = z - y: the parabola z - time z' + time^2 z'' it will follow, and the distance from it that fades; at time 0 z1
+    end, slope, bend, curve = _parabola(e.time, z0, zm, z1, h)
+    fade = _fade(h / np.maximum(e.time, 1e-12), e.time > 0.0)
+    bowed = e.time**2 * curve
+    first, last = z0 - e.time * (slope - bend) + bowed, end - e.time * (slope + bend) + bowed
+    return [last + (m[0] - first) * fade]
 
 
-def _resonance(e, m, z0, z1, h):
-    # time^2 y'' + 2 damping time y' + y = z, with the memories y and time y'; at time 0 the output is z1
+def _resonance(e, m, z0, zm, z1, h):
+    # time^2 y'' + 2 damping time y' + y = z, with the memories y and time y'; at time 0 the output is z1. It will follow the
+    # parabola z - 2 damping time z' + (4 damping^2 - 1) time^2 z''
     on = e.time > 0.0
-    slope, end = _line(on, z0, z1, h)
+    end, slope, bend, curve = _parabola(e.time, z0, zm, z1, h)
     turned = np.minimum(h / np.maximum(e.time, 1e-12), 1e4)  # later it has faded, and the angle would lose its digits
     fade = _fade(e.damping * turned, on)
     root = np.sqrt(1.0 - e.damping**2)
     cos, sin = np.cos(root * turned), np.sin(root * turned)
-    behind = 2.0 * e.damping * e.time * slope
-    off, speed = m[0] - z0 + behind, m[1] - e.time * slope
+    twice, bowed = 2.0 * e.damping, e.time**2 * curve
+    speeds = [e.time * (slope - bend) - twice * bowed, e.time * (slope + bend) - twice * bowed]
+    first = z0 - twice * e.time * (slope - bend) + (twice**2 - 1.0) * bowed
+    last = end - twice * e.time * (slope + bend) + (twice**2 - 1.0) * bowed
+    off, speed = m[0] - first, m[1] - speeds[0]
     return [
-        end - behind + fade * (off * cos + (speed + e.damping * off) / root * sin),
-        e.time * slope + fade * (speed * cos - (off + e.damping * speed) / root * sin),
+        last + fade * (off * cos + (speed + e.damping * off) / root * sin),
+        speeds[1] + fade * (speed * cos - (off + e.damping * speed) / root * sin),
     ]
 
 
@@ -101,6 +114,7 @@ SENSOR_LAG = Effect(
     grid=(0.25, 0.5, 1.0, 2.0),
     grid_unit=GridUnit.SAMPLE,
     memories=1,
+    middle=True,
 )
 SENSOR_RESONANCE = Effect(
     "sensor-resonance",
@@ -118,6 +132,7 @@ SENSOR_RESONANCE = Effect(
     grid=(0.25, 0.5, 1.0, 2.0),
     grid_unit=GridUnit.SAMPLE,
     memories=2,
+    middle=True,
 )
 SENSOR_NONLINEARITY = Effect(
     "sensor-nonlinearity",
@@ -170,6 +185,10 @@ QUANTISATION = Effect(
 EFFECTS = (BACKLASH, SENSOR_LAG, SENSOR_RESONANCE, SENSOR_NONLINEARITY, SENSOR_GAIN, SENSOR_BIAS, QUANTISATION)
 
 
+def _stepped(effect: Effect, e: Named, m, z0, zm, z1, h) -> list:
+    return effect.law(e, m, z0, zm, z1, h) if effect.middle else effect.law(e, m, z0, z1, h)
+
+
 @record
 class Sensor(Port):
     """Port for an output; every output of a plant has one, its place is the channel's name."""
@@ -177,28 +196,33 @@ class Sensor(Port):
     unit: str
     family = "sensor"
     symbols = "z: what there is; reading: what is logged; before: the reading just before"
-    law = "law(e, z) -> reading, or with memories=n law(e, m, z0, z1, h) -> n numbers, its output first"
+    law = (
+        "law(e, z) -> reading, or with memories=n law(e, m, z0, z1, h) -> n numbers, its output first; "
+        "with middle=True law(e, m, z0, zm, z1, h)"
+    )
     memories = np.inf
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in the output's own unit."""
         return replace(parameter, unit=parameter.unit.replace("unit of the output", self.unit))
 
-    def remember(self, effects, memory, z0, z1, h) -> list:
-        """The memories after a step in which the quantity went from z0 to z1; each effect follows the one before it."""
+    def remember(self, effects, memory, z0, zm, z1, h) -> list:
+        """The memories after a step in which the quantity went from z0 over zm to z1; each effect follows the one before it."""
         after = []
-        for effect, e in effects:
-            if effect.memories:
-                m = memory[len(after) : len(after) + effect.memories]
-                new = effect.law(e, m, z0, z1, h)
-                after += new
-                z0, z1 = m[0], new[0]
+        moving = [(effect, e) for effect, e in effects if effect.memories]
+        for i, (effect, e) in enumerate(moving):
+            m = memory[len(after) : len(after) + effect.memories]
+            new = _stepped(effect, e, m, z0, zm, z1, h)
+            after += new
+            if i + 1 < len(moving):
+                quarter = 0.375 * z0 + 0.75 * zm - 0.125 * z1  # of the parabola: the middle of the first half
+                z0, zm, z1 = m[0], _stepped(effect, e, m, z0, quarter, zm, 0.5 * h)[0], new[0]
         return after
 
     def settle(self, effects, z) -> list:
         """The memories after the quantity has stood at z for ever."""
         kept = sum(effect.memories for effect, _ in effects)
-        return self.remember(effects, [z] * kept, z, z, FOREVER)
+        return self.remember(effects, [z] * kept, z, z, z, FOREVER)
 
     def read(self, effects, memory, noise):
         """The logged value: what the last effect with memory shows, through the static maps and with its noise."""
@@ -214,7 +238,7 @@ class Sensor(Port):
         z = some()
         if not effect.memories:
             return [effect.law(e, z) - z]
-        kept = effect.law(e, [some() for _ in range(effect.memories)], some(), z, 0.01)
+        kept = _stepped(effect, e, [some() for _ in range(effect.memories)], some(), some(), z, 0.01)
         if len(kept) != effect.memories:
             raise ValueError(f"it keeps {len(kept)} numbers, memories={effect.memories}")
         return [kept[0] - z]
