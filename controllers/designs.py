@@ -4,7 +4,7 @@ law = ScheduledPIDDesign(sensitivity=1.6, setpoint={"w3": 100.0, "theta": 0.0}).
 law = MPCDesign(low={"V1": 0.0}, high={"V1": 5.0}, keep={"theta": (-20.0, 20.0)}).on(model)
 
 Before it is handed out the controller runs its loop once, on the plant where one is given, else on the model
-(`controllers.trial`): frozen margins do not say that a loop holds its machine.
+(`workbench.verification.trial`): frozen margins do not say that a loop holds its machine.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,13 +15,13 @@ import numpy as np
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.pid_design import PIDDesign, Structure, design_pid
 from controllers.scheduled_pid import ScheduledPID
-from controllers.trial import tried
-from controllers.tuning import Bounds
 from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError, check_known
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
+from workbench.robustness.frozen import Bounds
+from workbench.verification.trial import tried
 
 KNOTS = 5  # schedule values with gains of their own
 

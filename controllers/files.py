@@ -7,21 +7,15 @@ from typing import Any
 from controllers import mpc, nmpc, scheduled_pid
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
+from workbench.physics.controller import SCHEMA, VERSION, content_of
 from workbench.physics.plant import Plant
 
-SCHEMA = "gain-scheduling-workbench/controller"
-VERSION = 1
 KINDS: dict[str, Any] = {scheduled_pid.KIND: scheduled_pid.ScheduledPID, mpc.KIND: mpc.MPC, nmpc.KIND: nmpc.NMPC}
 
 
 def save_controller(controller: Any, path: str | Path) -> Path:
     """Write a controller of a listed kind."""
-    return write_json(path, controller_content(controller))
-
-
-def controller_content(controller: Any) -> dict[str, Any]:
-    """What the file of a controller of a listed kind holds."""
-    return {"schema": SCHEMA, "version": VERSION} | controller.to_dict()
+    return write_json(path, content_of(controller))
 
 
 def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None = None) -> Any:

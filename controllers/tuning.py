@@ -31,6 +31,7 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
+from workbench.robustness.frozen import DEFAULT, Bounds
 from workbench.robustness.semidefinite import Cone, conic, vector
 
 ROUNDS = 40  # steps after which a design that still improves is left as it is
@@ -61,27 +62,6 @@ class Frozen(Protocol):
     def response(self, omega: np.ndarray) -> np.ndarray:
         """P(j omega), (len(omega), ny, nu)."""
         ...
-
-
-@record
-class Bounds:
-    """What a design must keep: peaks of S and T as spectral norms, and of the control effort Q.
-
-    effort: largest |Q| as a multiple of 1 / sigma_min(P(0)), the least that any law with integral action needs. broken: where the
-    loop is opened for S and T, "input" or "output" of the plant.
-    """
-
-    sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
-    complementary: float = field("", low=1.0 + 1e-9, default=1.6)
-    effort: float = field("", low=1.0 + 1e-9, default=3.0)
-    broken: str = "input"
-
-    def __post_init__(self):
-        if self.broken not in ("input", "output"):
-            raise InputError(f"a loop broken at the {self.broken!r}", mend="broken is 'input' or 'output'")
-
-
-DEFAULT = Bounds()
 
 
 @record

@@ -17,9 +17,7 @@ from typing import Any
 import numpy as np
 
 from controllers.files import load_controller, save_controller
-from controllers.pid_design import worst_margins
 from controllers.receding import count_statuses
-from controllers.rehearsal import NO_WORSE
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
 from studies.design import POINTS, design_pictures
@@ -31,9 +29,11 @@ from workbench.lpv import load_model
 from workbench.metrics import tracking
 from workbench.provenance import provenance, versions
 from workbench.records import record
+from workbench.rehearsal import NO_WORSE
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
+from workbench.robustness.frozen import worst_margins
 from workbench.simulation import LeftRangeError, simulate
 
 Say = Callable[[str], None]

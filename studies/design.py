@@ -11,19 +11,10 @@ from controllers.designs import KNOTS, ScheduledPIDDesign, command_limits, setpo
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
-from controllers.pid_design import (
-    Margins,
-    PIDDesign,
-    closed_loop,
-    frequencies,
-    loops_of,
-    worst_margins,
-)
+from controllers.pid_design import PIDDesign
 from controllers.scheduled_pid import Gains, ScheduledPID
 from controllers.tables import gain_csv
-from controllers.trial import Trial, tried
 from controllers.tube import taken
-from controllers.tuning import DEFAULT, Bounds
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
 from studies.cli import DONE
 from studies.referee import handed_out
@@ -39,6 +30,8 @@ from workbench.readers import read_file
 from workbench.report import figures
 from workbench.report.blocks import Block, Report, Section, Table
 from workbench.report.page import write_report
+from workbench.robustness.frozen import DEFAULT, Bounds, Margins, closed_loop, frequencies, loops_of, worst_margins
+from workbench.verification.trial import Trial, tried
 
 Say = Callable[[str], None]
 POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn

@@ -17,9 +17,7 @@ from controllers.mpc import MPC, design_mpc
 from controllers.nmpc import design_nmpc
 from controllers.pid_design import PIDDesign, Structure, design_pid
 from controllers.receding import Weights
-from controllers.rehearsal import Rehearsal, calmest, rehearsal
 from controllers.scheduled_pid import ScheduledPID
-from controllers.tuning import Bounds
 from plants import PLANTS
 from studies.experiments import measured
 from workbench.data import Dataset
@@ -28,6 +26,8 @@ from workbench.identification.ssm import SSM
 from workbench.lpv import LPVModel
 from workbench.physics.plant import EffectSizes, Plant
 from workbench.records import record
+from workbench.rehearsal import Rehearsal, calmest, rehearsal
+from workbench.robustness.frozen import Bounds
 from workbench.simulation import Scenario
 
 Say = Callable[[str], None]

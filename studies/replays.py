@@ -1,8 +1,9 @@
 """`workbench simulate --replay`: a stored counterexample, run again on its plant and compared with what was found."""
 
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from controllers.files import controller_of
 from plants import PLANTS
@@ -12,7 +13,7 @@ from workbench.files import nullable, write_json
 from workbench.provenance import provenance
 from workbench.readers import write_csv
 from workbench.robustness.falsify import SAME, Counterexample, load_counterexample, same
-from workbench.robustness.sequences import is_sequence, load_sequence
+from workbench.robustness.sequences import Broken, is_sequence, load_sequence
 
 Say = Callable[[str], None]
 
@@ -31,7 +32,7 @@ def run(options: Namespace, say: Say) -> int:
         return _run_sequence(options, say)
     stored = load_counterexample(options.replay)
     chosen = _plant(options, stored)
-    controller = _controller(options, stored, chosen)
+    controller = _controller(options, stored.controller, chosen.base)
     try:
         found = stored.replay(chosen.plant, controller.law)
     except InputError as reason:
@@ -67,10 +68,13 @@ def _run_sequence(options: Namespace, say: Say) -> int:
     """Parameters of an identified loop, run again; 0 where they give what the file says, else 1."""
     if options.plant is not None:
         raise InputError("is of an identified model, which it holds", file=options.replay, mend=f"leave {options.plant} out")
-    if options.controller is not None:
-        raise InputError("holds its controller", file=options.replay, mend=f"leave --controller {options.controller} out")
     stored = load_sequence(options.replay)
-    found = stored.again(lambda content: controller_of(content, options.replay))
+    law: Any = None
+    if isinstance(stored, Broken):
+        law = _controller(options, stored.passage.controller, "").law
+    elif options.controller is not None:
+        raise InputError("holds its loop", file=options.replay, mend=f"leave --controller {options.controller} out")
+    found = stored.again(lambda _: law)
     agrees = same(found, stored.value) and stored.breaks
     say(f"{stored.claim}\n  {stored.sentence} {stored.value:.12g}, found now {found:.12g}")
     if options.json:
@@ -92,14 +96,14 @@ def _plant(options: Namespace, stored: Counterexample) -> Chosen:
     return chosen
 
 
-def _controller(options: Namespace, stored: Counterexample, chosen: Chosen) -> ChosenController:
+def _controller(options: Namespace, content: Mapping[str, Any], plant: str) -> ChosenController:
     """The controller that the file holds; a law of the user's own is named again: a file never makes a program run."""
-    own = stored.controller.get("own")
+    own = content.get("own")
     if own is None and options.controller:
         raise InputError("holds its controller", file=options.replay, mend=f"leave --controller {options.controller} out")
     if own is not None and not options.controller:
         mend = f"if you trust that law, name it yourself: workbench simulate --replay {options.replay} --controller {own}"
         raise InputError(f"is of the law {own}, which is code of one's own", file=options.replay, mend=mend)
     if own is not None:
-        return choose_controller(options.controller, chosen.base)
-    return ChosenController(controller_of(stored.controller, options.replay, lambda base: trusted_plant(base, chosen.base)), ())
+        return choose_controller(options.controller, plant)
+    return ChosenController(controller_of(content, options.replay, lambda base: trusted_plant(base, plant)), ())

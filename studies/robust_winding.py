@@ -7,7 +7,6 @@ tighten a design until its limits are proved. Random trials stand beside every s
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,12 +16,10 @@ from controllers.mpc import MPC, design_mpc
 from controllers.pid_design import design_pid
 from controllers.receding import Weights
 from controllers.scheduled_pid import ScheduledPID
-from controllers.tuning import Bounds
 from plants import PLANTS
-from studies.arguments import Chosen
-from studies.check import Checked, Open, counted, on_model, on_plant, opened, verdict_table
 from studies.experiments import measured
 from studies.loops import WINDING_LIMITS, benches
+from workbench.answers.check import counted, verdict_table
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -38,11 +35,15 @@ from workbench.report.blocks import Block, Provenance, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.envelopes import Course, nominal, replay, worst
 from workbench.robustness.falsify import at_random, tolerance_box, worst_plant
+from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
 from workbench.robustness.loop import course_of, driven, machine_with_errors
 from workbench.robustness.margins import Margin, margin
 from workbench.robustness.verdict import Status, Verdict
 from workbench.simulation import Scenario, simulate
+from workbench.verification.model import Open, on_model, opened
+from workbench.verification.part import Part
+from workbench.verification.plant import on_plant
 
 Say = Callable[[str], None]
 
@@ -70,8 +71,8 @@ class Law:
 
     name: str
     controller: Any
-    on_model: Checked
-    on_plant: Checked
+    on_model: Part
+    on_plant: Part
     rms: Mapping[str, float]
 
     @property
@@ -162,15 +163,16 @@ def _checked(
     rate: float | None = None,
 ) -> Law:  # fmt: skip
     """A law under check, on model and plant."""
-    own, chosen = folder / name.replace(" ", "-"), Chosen(WINDING, WINDING.name)
+    own = folder / name.replace(" ", "-")
     own.mkdir(exist_ok=True)
     save_controller(law, own / "controller.json")
     progress(f"{name}: on the identified model")
-    proved = on_model(left, law, asked(), chosen, own, nodes, rate, progress)
+    proved = on_model(left, law, asked(), WINDING, nodes=nodes, rate=rate, progress=progress)
     progress(f"{name}: on the machine")
     own_runs = runs[0 if isinstance(law, Controller) else 1 if isinstance(law, MPC) else 2]
-    options: Any = SimpleNamespace(fitted=[], runs=own_runs, seed=seed, limits="limits")
-    tried = on_plant(chosen, law, asked(), options, own, progress)
+    tried = on_plant(WINDING, law, asked(), runs=own_runs, seed=seed, progress=progress)
+    for part in (proved, tried):
+        part.save(own)
     return Law(name, law, proved, tried, _rms(law, seed))
 
 

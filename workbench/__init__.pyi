@@ -3,6 +3,8 @@
 from .advice import advise as advise
 from .answers.calibrate import CalibrationResult as CalibrationResult
 from .answers.calibrate import calibrate as calibrate
+from .answers.check import CheckResult as CheckResult
+from .answers.check import check as check
 from .answers.diagnose import DiagnosisResult as DiagnosisResult
 from .answers.diagnose import diagnose as diagnose
 from .answers.identify import IdentificationResult as IdentificationResult

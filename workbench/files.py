@@ -40,9 +40,18 @@ def write_bytes(path: str | Path, content: bytes) -> Path:
 
 def write_json(path: str | Path, content: Any) -> Path:
     """Write plain numbers, lists and dictionaries; arrays become lists, a row a line; NaN is refused."""
-    text = json.dumps(content, default=_plain, indent=1, allow_nan=False)
+    text = _text(content)
     rows = re.sub(r"\[[^\[\]{}\"]*\]", lambda row: " ".join(row.group().split()), text)
     return write_text(path, rows + "\n")
+
+
+def as_read(content: Any) -> Any:
+    """What reading a file with this content gives."""
+    return json.loads(_text(content), parse_int=_whole)
+
+
+def _text(content: Any) -> str:
+    return json.dumps(content, default=_plain, indent=1, allow_nan=False)
 
 
 def nullable(content: Any) -> Any:

@@ -2,9 +2,47 @@
 
 from argparse import Namespace
 
-from studies.check import check
+from studies.arguments import choose_controller, choose_plant, numbers, run_folder
 from studies.terminal import progress, say
+from workbench.answers.check import CHECK_FILE, check
+from workbench.data import Dataset
+from workbench.errors import InputError
+from workbench.files import write_bytes
+from workbench.lpv import load_model
+from workbench.provenance import provenance
+from workbench.readers import read_file
+from workbench.robustness.limits import load_limits
+from workbench.robustness.verdict import Status
+
+ASKED = ("controller", "limits", "model", "records", "plant", "fitted", "lags", "bound", "nodes", "rate", "runs")
 
 
 def run(options: Namespace) -> int:
-    return check(options, say, progress)
+    """Verdicts on the model, on the plant, or on both; 1 where anything failed."""
+    limits = load_limits(options.limits)
+    if not (options.model or options.plant):
+        mend = "give --model M.json --records R.csv for proofs, --plant PLANT for a search on the simulated machine, or both"
+        raise InputError("check on what?", mend=mend)
+    if bool(options.model) != bool(options.records):
+        raise InputError("--model and --records go together", mend="the records say what the model leaves open")
+    if options.fitted and not options.plant:
+        raise InputError("--fitted is for a search on the plant", mend="give --plant as well")
+    chosen = choose_plant(options.plant) if options.plant else None
+    controller = choose_controller(options.controller, chosen.base if chosen else "")
+    found = check(
+        controller.law, limits, model=load_model(options.model) if options.model else None,
+        records=Dataset(tuple(read_file(path) for path in options.records)) if options.records else None,
+        plant=chosen.plant if chosen else None, fitted=options.fitted, lags=options.lags,
+        bound=numbers(options.bound, "--bound"), nodes=options.nodes, rate=options.rate, runs=options.runs, seed=options.seed,
+        progress=progress,
+    )  # fmt: skip
+    files = [*controller.files, options.limits, *options.records, *([options.model] if options.model else []), *options.fitted]
+    source = provenance({key: getattr(options, key) for key in ASKED}, [*files, *(chosen.files if chosen else ())], options.seed)
+    folder = run_folder(options.out, "check")
+    found.save(folder, base=chosen.base if chosen else "", own=controller.own, source=source)
+    if options.json:
+        write_bytes(options.json, (folder / CHECK_FILE).read_bytes())
+    for line in (found.tried, *found.boxes, *found.verdicts):
+        say(str(line))
+    say(f"{found.sentences[0].removesuffix('.')}\nreport: {folder / 'report.html'}")
+    return 1 if found.status is Status.FAILED else 0

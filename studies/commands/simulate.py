@@ -134,8 +134,8 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
     """The controller holding its set-points, on a plant or on an identified model once along its whole schedule; or following
     those of a file of limits, on a plant.
     """
-    from controllers.rehearsal import check_setpoint, hold
     from workbench.lpv import load_model
+    from workbench.rehearsal import check_setpoint, hold
     from workbench.robustness.limits import load_limits
     from workbench.simulation import Scenario
     from workbench.simulation import simulate as run_plant

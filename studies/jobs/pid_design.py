@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from controllers.pid_design import Structure, design_pid
-from controllers.tuning import DEFAULT, Bounds
 from studies.jobs.closed_loop import run_of, score_units, scores, single_run
 from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_settings, recorded, settings
 from workbench.errors import InputError, check_known
 from workbench.identification.lti import LTI
 from workbench.identification.ssm import SSM
 from workbench.records import record
+from workbench.robustness.frozen import DEFAULT, Bounds
 from workbench.robustness.limits import Manoeuvre
 from workbench.sweeps import Point, Sweep
 from workbench.toml import Table

@@ -13,9 +13,9 @@ import control
 import numpy as np
 from scipy import signal
 
-from controllers.tuning import Bounds
 from workbench.data import Channel
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, constant_model
+from workbench.robustness.frozen import Bounds
 
 KINDS = ("resonance", "dead-time", "leaky-integrator", "wrong-zero", "late-resonance")
 SENSITIVITY, COMPLEMENTARY, EFFORT = (1.3, 1.5, 1.7, 2.0), (1.2, 1.4, 1.6, 2.0), (1.3, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0)

@@ -7,12 +7,12 @@ import pytest
 
 import controllers
 from controllers import MPC, MPCDesign, ScheduledPID, ScheduledPIDDesign, load_controller
-from controllers.trial import Trial
 from studies.cli import main
 from workbench.errors import InputError, NotHandedOutError
 from workbench.identification.lti import LTI
 from workbench.physics.controller import check_controller
 from workbench.sources import read
+from workbench.verification.trial import Trial
 
 LIMITS = {"low": {"u": -4.0}, "high": {"u": 4.0}}
 

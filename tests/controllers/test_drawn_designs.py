@@ -9,7 +9,7 @@ from scipy import signal
 
 from controllers.pid import pid
 from controllers.pid_design import FrozenPoint, design_pid
-from controllers.tuning import Bounds, tune
+from controllers.tuning import tune
 from tests.controllers.drawn import (
     COMPLEMENTARY,
     EFFORT,
@@ -23,6 +23,7 @@ from tests.controllers.drawn import (
     draw,
     judge,
 )
+from workbench.robustness.frozen import Bounds
 
 LONGEST = 20.0  # s of the processor, for one design
 ROUNDING = 1e-4  # by which a peak between the frequencies of the program may pass a bound

@@ -6,11 +6,11 @@ import control
 import numpy as np
 import pytest
 
-from controllers.pid_design import Structure, design_pid, loops_of, margins_of
-from controllers.tuning import Bounds
+from controllers.pid_design import Structure, design_pid
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model, load_model
+from workbench.robustness.frozen import Bounds, loops_of, margins_of
 
 DT = 0.1
 INPUTS = (Channel("V1", "V", "input"), Channel("V2", "V", "input"))

@@ -8,8 +8,9 @@ from scipy.optimize import brute
 
 from controllers.pid import pid
 from controllers.scheduled_pid import parts
-from controllers.tuning import Bounds, cones, tune
+from controllers.tuning import cones, tune
 from workbench.errors import InputError
+from workbench.robustness.frozen import Bounds
 from workbench.robustness.semidefinite import conic
 
 TAU = 0.3

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from controllers.pid_design import design_pid
-from controllers.tuning import Bounds
 from plants import PLANTS
 from studies.cli import main
 from studies.experiments import measured, plan
@@ -24,6 +23,7 @@ from workbench.intervals.regression import IntervalRegression
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import fit
+from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Manoeuvre
 from workbench.simulation import replay, simulate
 from workbench.sweeps import Point, load_sweep, read_rows

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.files import controller_content
 from controllers.pid import pid
 from plants import WELDING_ROBOT
 from studies.cli import main
+from workbench.physics.controller import content_of
 from workbench.readers import read_file
 from workbench.robustness.falsify import Dimension, tolerance_box, worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre
@@ -37,7 +37,7 @@ def worst():
 
 @pytest.fixture
 def file(worst, tmp_path):
-    return worst.counterexample("welding-robot", controller_content(LAW)).save(tmp_path / "c.json")
+    return worst.counterexample("welding-robot", content_of(LAW)).save(tmp_path / "c.json")
 
 
 def changed(path, change):
@@ -112,7 +112,7 @@ def test_without_a_replay_the_plant_must_be_named(capsys):
 def test_a_plant_of_the_users_own_runs_only_where_the_user_names_it(worst, tmp_path, capsys):
     code = tmp_path / "mine.py"
     code.write_text(SPY)
-    path = str(worst.counterexample(f"{code}:PLANT", controller_content(LAW)).save(tmp_path / "c.json"))
+    path = str(worst.counterexample(f"{code}:PLANT", content_of(LAW)).save(tmp_path / "c.json"))
     assert main(["simulate", "--replay", path, "--out", str(tmp_path / "a")]) == 2
     assert f"simulate {code}:PLANT --replay {path}" in capsys.readouterr().err
     assert main(["simulate", "web-winding", "--replay", path, "--out", str(tmp_path / "a")]) == 2
@@ -130,7 +130,7 @@ def test_a_run_that_left_the_range_is_replayed_up_to_there(tmp_path, capsys):
     narrow = replace(WELDING_ROBOT, limits={"v1": (-1.0, 0.41)})
     worst = found(narrow)
     assert worst.bound == "range"
-    path = str(worst.counterexample("narrow.py:PLANT", controller_content(LAW)).save(tmp_path / "c.json"))
+    path = str(worst.counterexample("narrow.py:PLANT", content_of(LAW)).save(tmp_path / "c.json"))
     plant = f"{tmp_path / 'narrow.py'}:PLANT"
     assert main(["simulate", plant, "--replay", path, "--out", str(tmp_path / "out")]) == 0
     assert "leaves the range of the plant" in capsys.readouterr().out

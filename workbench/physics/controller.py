@@ -1,5 +1,6 @@
 """What a simulation needs to know of a controller: one law in plain arithmetic, with explicit memory."""
 
+from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
@@ -75,6 +76,21 @@ def stepped(controller: Any, state: Any, r: np.ndarray, y: np.ndarray, rho: floa
         return controller.step(state, r, y, rho)
     u, after = controller.law(controller.gains, state, r, y, rho)
     return np.array(u, dtype=float), np.array(after, dtype=float)
+
+
+SCHEMA, VERSION = "gain-scheduling-workbench/controller", 1  # of a controller's file
+
+
+def content_of(controller: Any, own: str = "") -> dict[str, Any]:
+    """What a controller's file holds. own: where a law of the user's own is found, which no file holds: file.py:NAME."""
+    if own or not hasattr(controller, "to_dict"):
+        return {"own": own or f"{type(controller).__module__}:{type(controller).__qualname__}"}
+    return {"schema": SCHEMA, "version": VERSION} | controller.to_dict()
+
+
+def law_of(content: Mapping[str, Any], controller: Any) -> Any:
+    """The law that such content makes, of the kind of `controller`; itself where no file can hold it."""
+    return controller if "own" in content else type(controller).from_dict(dict(content))
 
 
 LOOP = ("name", "dt", "references", "measured", "schedule", "actuated", "init")

@@ -91,7 +91,11 @@ def fitted_box(plant: Plant, path: str | Path) -> tuple[Dimension, ...]:
 
     Within the bounds that the plant has for an effect's number. Raises InputError for other files, and names the plant lacks.
     """
-    content = read_json(path)
+    return fitted_box_of(plant, read_json(path), path)
+
+
+def fitted_box_of(plant: Plant, content: Any, path: str | Path = "fitted intervals") -> tuple[Dimension, ...]:
+    """The box of what such a file holds; path: the file, for messages."""
     if not isinstance(content, dict) or not ("causes" in content or "starts" in content):
         mend = "give the diagnosis.json or calibration.json beside it: a plant file holds values without intervals"
         raise InputError("holds no intervals", file=path, mend=mend)
@@ -227,10 +231,10 @@ class Counterexample:
         """What is broken, where and by how much."""
         return _sentence(self.limit, self.bound, self.excess, self.time, self.value)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the file (schema and version inside), readable without this package."""
+    def to_dict(self) -> dict[str, Any]:
+        """What its file holds, schema and version inside, readable without this package."""
         limit = {name: getattr(self.limit, name) for name in LIMIT_NUMBERS}
-        content = {
+        return {
             "schema": SCHEMA, "version": VERSION, "plant": self.plant, "base": self.base, "dt": self.dt,
             "limit": {"signal": self.limit.signal, "unit": self.limit.unit}
             | {name: value for name, value in limit.items() if math.isfinite(value)},
@@ -244,7 +248,10 @@ class Counterexample:
             },
             "controller": dict(self.controller),
         }  # fmt: skip
-        return write_json(path, content)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the file."""
+        return write_json(path, self.to_dict())
 
     def replay(self, plant: Plant, controller: Controller | Stepped) -> "Replayed":
         """Run it again. Raises InputError where the plant is another one."""
@@ -683,7 +690,11 @@ AGAIN = "search again"
 
 def load_counterexample(path: str | Path) -> Counterexample:
     """Read a file written by `Counterexample.save`. Raises InputError naming what is missing, foreign or not a number."""
-    content = read_json(path)
+    return counterexample_of(read_json(path), path)
+
+
+def counterexample_of(content: Any, path: str | Path = "a counterexample") -> Counterexample:
+    """The counterexample that the content of a file makes; path: the file that holds it, for messages."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError("not a counterexample", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
     if content.get("version") != VERSION:

@@ -14,10 +14,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from workbench.errors import InputError, check_known
+from workbench.files import as_read
 from workbench.physics.controller import Loop
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -198,6 +200,7 @@ class LoopLimits:
     sensitivity: float | None = None
     moving: bool = False
     disk: float | None = None
+    file: str = ""  # that they are read from
 
 
 def resolved(limits: Iterable[Limit], plant: Plant, controller: Loop) -> tuple[Limit, ...]:
@@ -234,15 +237,31 @@ LOOP = ("stable", "margin", "sensitivity", "moving", "disk")
 
 def load_limits(path: str | Path) -> LoopLimits:
     """Read limits.toml; what is unknown, missing or makes no sense is refused with table, key, what is expected and the mend."""
-    top = read_toml(path, TABLES)
+    return _limits(read_toml(path, TABLES))
+
+
+def limits_of(content: Mapping[str, Any]) -> LoopLimits:
+    """The limits of such a file's content: {"run": {"duration": 20.0, ..}, "limits": {"theta": {"high": 20.0}}, "loop": {..}}."""
+    try:
+        plain = as_read(dict(content))
+    except (TypeError, ValueError) as reason:
+        raise InputError(f"limits: {reason}", mend="give plain finite numbers and texts, as in limits.toml") from None
+    return _limits(Table(Path("limits"), "", plain, TABLES))
+
+
+def _limits(top: Table) -> LoopLimits:
     run = manoeuvre(top.table("run", RUN)) if "run" in top.content else None
     named = top.table("limits", None)
     limits = tuple(_limit(named.table(name, LIMIT), name, run) for name in named.content)
     loop = top.table("loop", LOOP)
     if limits and run is None:
-        raise InputError("[run] is missing", file=path, mend="limits are kept through a run: give its duration and set-points")
+        raise InputError(
+            "[run] is missing", file=top.file, mend="limits are kept through a run: give its duration and set-points"
+        )
     if not limits and not loop.content:
-        raise InputError("nothing to keep", file=path, mend="give [limits.SIGNAL] with low, high, rate or settling, or [loop]")
+        raise InputError(
+            "nothing to keep", file=top.file, mend="give [limits.SIGNAL] with low, high, rate or settling, or [loop]"
+        )
     margin, sensitivity = loop.number("margin"), loop.number("sensitivity")
     if margin is not None and margin <= 0.0:
         raise loop.refused("margin", f"{margin:g}", "a factor above 0; 1 is the box as it was found")
@@ -251,7 +270,9 @@ def load_limits(path: str | Path) -> LoopLimits:
     disk = loop.number("disk")
     if disk is not None and not 0.0 < disk < 2.0:
         raise loop.refused("disk", f"{disk:g}", "a disk margin lies between 0 and 2; usual are 0.5 to 1")
-    return LoopLimits(limits, run, loop.flag("stable", True), margin, sensitivity, loop.flag("moving", False), disk)
+    return LoopLimits(
+        limits, run, loop.flag("stable", True), margin, sensitivity, loop.flag("moving", False), disk, str(top.file)
+    )
 
 
 def manoeuvre(run: Table) -> Manoeuvre:

@@ -52,15 +52,19 @@ class Growth:
         del make_law
         return self.found.replay(self.loop)
 
-    def save(self, path: str | Path) -> Path:
+    def to_dict(self) -> dict[str, Any]:
+        """What its file holds."""
         loop, found = self.loop, self.found
-        content = {
+        return {
+            "schema": SCHEMA, "version": VERSION,
             "kind": "growth", "claim": self.claim, "value": found.growth, "kappa": found.kappa, "delta": found.delta,
             "needed": self.needed,
             "A": loop.A, "B": loop.B, "C": loop.C, "lam": loop.lam, "channel": loop.channel,
             "parameters": list(loop.parameters), "dt": loop.dt,
         }  # fmt: skip
-        return write_json(path, {"schema": SCHEMA, "version": VERSION} | content)
+
+    def save(self, path: str | Path) -> Path:
+        return write_json(path, self.to_dict())
 
 
 @record
@@ -119,16 +123,20 @@ class Broken:
         start = own.begun(self.before[None], self.share[None])
         return float(replay(own, self.delta[None], start)[0, self.sample, own.number(self.signal)])
 
-    def save(self, path: str | Path) -> Path:
+    def to_dict(self) -> dict[str, Any]:
+        """What its file holds."""
         own = self.passage
-        content = {
+        return {
+            "schema": SCHEMA, "version": VERSION,
             "kind": "passage", "claim": self.claim, "value": self.value, "signal": self.signal, "sample": self.sample,
             "low": self.low if np.isfinite(self.low) else None, "high": self.high if np.isfinite(self.high) else None,
             "before": self.before, "share": self.share, "delta": self.delta,
             "rho": own.rho, "references": own.references, "initial": own.initial, "noise": own.noise, "rates": list(own.rates),
             "model": own.model.to_dict(), "errors": [e.to_dict() for e in own.errors], "controller": dict(own.controller),
         }  # fmt: skip
-        return write_json(path, {"schema": SCHEMA, "version": VERSION} | content)
+
+    def save(self, path: str | Path) -> Path:
+        return write_json(path, self.to_dict())
 
 
 Witness = Growth | Broken
@@ -142,7 +150,11 @@ def is_sequence(path: str | Path) -> bool:
 
 def load_sequence(path: str | Path) -> Witness:
     """Read a file written by `save`; what is missing or foreign is named."""
-    content = read_json(path)
+    return sequence_of(read_json(path), path)
+
+
+def sequence_of(content: Any, path: str | Path = "a parameter sequence") -> Witness:
+    """The sequence that the content of a file makes; path: the file that holds it, for messages."""
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError("not a parameter sequence", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
     if content.get("version") != VERSION:

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.files import controller_content, controller_of
+from controllers.files import controller_of
 from controllers.pid import pid
 from plants import WELDING_ROBOT
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.physics.controller import Playback
+from workbench.physics.controller import Playback, content_of
 from workbench.physics.extension import extension
 from workbench.physics.plant import Parameter, Plant, Start
 from workbench.robustness import falsify
@@ -259,7 +259,7 @@ def test_a_law_that_is_asked_step_by_step_gives_the_same_worst_machine():
 
 
 def test_a_stored_counterexample_stands_alone_and_is_found_again(robot, tmp_path):
-    path = robot.counterexample("welding-robot", controller_content(ROBOT_LAW)).save(tmp_path / "c.json")
+    path = robot.counterexample("welding-robot", content_of(ROBOT_LAW)).save(tmp_path / "c.json")
     stored = load_counterexample(path)
     law = controller_of(stored.controller, path)
     again = stored.replay(WELDING_ROBOT, law)
@@ -395,7 +395,7 @@ def _folder(tmp_path):
 
 
 def _content(found):
-    path = found.counterexample("welding-robot", controller_content(ROBOT_LAW)).save(_FOLDER["now"] / "whole.json")
+    path = found.counterexample("welding-robot", content_of(ROBOT_LAW)).save(_FOLDER["now"] / "whole.json")
     return json.loads(path.read_text())
 
 

@@ -1,10 +1,11 @@
 """What check asks of a loop, number by number: bounds at every sample, stops, and what the law keeps by itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from controllers.pid import pid
-from studies.check import _asked, _by_the_law, _in_motion, _stops
 from workbench.data import Channel
 from workbench.intervals.domains import Box
 from workbench.intervals.errors import ERROR_OF
@@ -16,6 +17,7 @@ from workbench.robustness.envelopes import nominal
 from workbench.robustness.limits import Limit
 from workbench.robustness.loop import course, course_of, driven, machine_with_errors, with_rates
 from workbench.robustness.verdict import Bound, Status
+from workbench.verification.model import _asked, _by_the_law, _in_motion, _stops
 
 DT, N = 0.1, 60
 BOTH = (Term(0), Term(1))
@@ -61,10 +63,10 @@ def test_a_limit_holds_from_its_beginning_on_and_a_band_from_when_it_has_settled
 
 
 def test_stops_are_the_laws_own_limits():
-    level, rate = _stops(LAW, N)
+    level, rate = _stops(LAW, scheduled(), N)
     assert (level.signal, level.low[0], level.high[-1]) == ("u", -2.0, 3.0)
     assert (rate.signal, rate.low[0], rate.high[-1]) == ("rate of u", -5.0, 5.0)
-    assert not _stops(pid(("u",), ("y",), ("r",), DT, [0.4], [0.5]), N)
+    assert not _stops(pid(("u",), ("y",), ("r",), DT, [0.4], [0.5]), scheduled(), N)
 
 
 @pytest.mark.parametrize(
@@ -104,6 +106,12 @@ def test_in_motion_only_a_loop_that_is_linear_between_its_nodes_is_proved():
     curved = asked(scheduled(exponents=(0.0, 2.0)))
     assert curved.status is Status.UNDECIDED
     assert "halfway between two" in curved.sentence
+    bent = replace(
+        LAW, basis=Powers((0.0, 2.0)), schedule="rho", span=(0.0, 1.0),
+        **{key: np.repeat(getattr(LAW, key), 2, axis=0) * np.array([1.0, 0.1]).reshape(2, *[1] * (getattr(LAW, key).ndim - 1))
+           for key in ("Kp", "Ki", "Kd", "Kr", "u0")},
+    )  # fmt: skip
+    assert _in_motion(scheduled(), errors(), bent, 0.5, 3, 1.0, "", lambda _: None).status is Status.UNDECIDED
     late = asked(scheduled(terms=(Term(0), Term(1, 2))))
     assert late.status is Status.UNDECIDED
     assert "delays of the model's schedule of up to 2 samples" in late.sentence

@@ -11,12 +11,12 @@ from scipy.linalg import expm
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
 from controllers.pid_design import design_pid
-from controllers.trial import along, followed, on_model, on_plant
 from studies.cli import main
 from tests.controllers.test_pid_design import machine
 from workbench.data import Channel
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model
 from workbench.physics.plant import Plant, Start
+from workbench.verification.trial import along, followed, on_model, on_plant
 
 DT, WEIGHT, GAIN, DAMPING, LAG = 0.02, 20.0, 40.0, 1.5, 0.1
 DEG = np.pi / 180.0

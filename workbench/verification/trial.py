@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from controllers.pid_design import FrozenPoint
-from controllers.rehearsal import Rehearsal
-from controllers.scheduled_pid import ScheduledPID
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import record
+from workbench.rehearsal import Rehearsal
+from workbench.robustness.frozen import closed_loop
+from workbench.robustness.loop import without_linear_form
 from workbench.simulation import LeftRangeError, Scenario, simulate
 
 POINTS = 5  # schedule values at which loops are asked how slow they are
@@ -156,12 +156,11 @@ def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
 
 def _settling(law: Any, model: LPVModel) -> int:
     """Samples in which the slowest frozen loop settles."""
-    planned = not isinstance(law, ScheduledPID)
-    pid, slowest = getattr(law, "fallback", law), 0.0
-    if isinstance(pid, ScheduledPID):
+    planned = not hasattr(law, "at")
+    linear, slowest = getattr(law, "fallback", law), 0.0
+    if not without_linear_form(linear):
         for rho in np.linspace(model.span[0], model.span[1], POINTS) if model.schedule else [None]:
-            own = FrozenPoint(None, model.dt, *model.freeze(rho), np.ones(len(model.outputs)))
-            slowest = max(slowest, float(np.abs(own.poles(*pid.gains_at(rho)[:3], pid.Tf)).max()))
+            slowest = max(slowest, float(np.abs(closed_loop(linear, model, rho).system.poles).max()))
     samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
     return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST))
 

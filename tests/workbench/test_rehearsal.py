@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from controllers.pid import pid
-from controllers.rehearsal import NO_WORSE, calmest, hold, rehearsal
 from tests.controllers.test_pid_design import machine
 from workbench.errors import InputError
 from workbench.lpv import Predictor
+from workbench.rehearsal import NO_WORSE, calmest, hold, rehearsal
 
 SIZE = np.array([2.0, 0.5])
 

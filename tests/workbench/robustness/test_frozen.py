@@ -7,12 +7,12 @@ import pytest
 from scipy.signal import cont2discrete
 
 from controllers.pid import pid
-from controllers.pid_design import PEAKS, closed_loop, design_pid, loops_of, margins_of
-from controllers.tuning import Bounds
+from controllers.pid_design import design_pid
 from tests.controllers.test_pid_design import DT, TURNED, machine
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, OperatingPoint, constant_model
+from workbench.robustness.frozen import PEAKS, Bounds, closed_loop, loops_of, margins_of
 
 BOUNDS = Bounds(1.5, 1.4, 4.0)
 

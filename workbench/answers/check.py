@@ -1,0 +1,256 @@
+"""Is a loop safe on every machine that the records leave open? Proved, or refuted with a run that shows it.
+
+answer = wb.check(law, "limits.toml", model=model, records=data)     # proofs on the identified model
+answer = wb.check(law, "limits.toml", plant=found.plant)             # the worst machine within tolerances
+answer.status, answer.verdicts
+answer.save("runs/monday")                                           # check.json, report.html, and what shows each failure
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from workbench.answers.answer import Answer, Progress, Records, as_dataset
+from workbench.data import Dataset
+from workbench.errors import InputError
+from workbench.files import nullable, write_json
+from workbench.intervals.errors import ErrorRegression
+from workbench.intervals.model import IntervalModel
+from workbench.lpv import LPVModel
+from workbench.physics.controller import check_controller
+from workbench.physics.plant import Plant
+from workbench.provenance import provenance
+from workbench.records import record
+from workbench.report.blocks import Provenance, Report, Section, Table
+from workbench.report.page import write_report
+from workbench.robustness.falsify import fitted_box, fitted_box_of
+from workbench.robustness.limits import LoopLimits, limits_of, load_limits
+from workbench.robustness.loop import check_law, without_linear_form
+from workbench.robustness.verdict import Status, Verdict, overall
+from workbench.verification.model import NODES, claimed, on_model, opened
+from workbench.verification.part import FROZEN, Part
+from workbench.verification.plant import check_asked, on_plant
+from workbench.verification.trial import Trial, along
+from workbench.verification.trial import on_model as tried_on_model
+
+CHECK_FILE = "check.json"
+
+Limits = LoopLimits | Mapping[str, Any] | str | Path
+Fitted = Mapping[str, Any] | Answer | str | Path
+
+
+def check(
+    controller: Any, limits: Limits, *, model: LPVModel | None = None, records: Dataset | None = None,
+    plant: Plant | None = None, fitted: Sequence[Fitted] = (), lags: int = 1, bound: Sequence[float] | None = None,
+    nodes: int = NODES, rate: float | None = None, runs: int | None = None, seed: int = 0,
+    progress: Progress = lambda _: None,
+) -> "CheckResult":  # fmt: skip
+    """Verdicts on a controller's loop: on an identified `model` with the `records` that bound its errors, on a `plant`, or both.
+
+    limits: what the loop must keep: a limits.toml, or what it holds, {"run": {"duration": 20.0, ..}, "limits": {"theta": {..}}}.
+    fitted: answers of diagnose and calibrate, or their JSON files, whose intervals bound the plant beside its tolerances. lags:
+    samples of outputs and inputs that the model's errors may depend on; bound (ny): the largest error of each output beyond that,
+    default what the model is off. nodes: schedule values at which stability is proved; rate [1/s]: prove it for a schedule that
+    moves by up to that, too. runs: of the plant for each limit. Raises InputError for what does not fit together.
+
+        >>> check(law, "limits.toml", model=model, records=data).status                                     # doctest: +SKIP
+    """
+    check_controller(controller, getattr(controller, "name", "controller"))
+    asked = _limits(limits)
+    if model is None and plant is None:
+        mend = "give model= and records= for proofs, plant= for a search on the simulated machine, or both"
+        raise InputError("check on what?", mend=mend)
+    if (model is None) != (records is None):
+        raise InputError("model and records go together", mend="the records say what the model leaves open")
+    if fitted and plant is None:
+        raise InputError("fitted intervals are for a search on the plant", mend="give plant= as well")
+    dataset = None if records is None else as_dataset(records)
+    left = None
+    if model is not None and dataset is not None:
+        left = opened(ErrorRegression(lags, None if bound is None else list(bound)), model, dataset)
+        if not without_linear_form(controller):
+            check_law(model, controller)
+    progress("one run of the loop")
+    trial = _tried(controller, asked, model, plant)
+    parts = []
+    if left is not None:
+        parts.append(on_model(left, controller, asked, plant, nodes=nodes, rate=rate, progress=progress))
+    elif plant is not None and any((asked.stable, asked.margin, asked.sensitivity, asked.disk)):
+        said = "asked of the loop itself: give --model and --records"
+        of_loop = claimed(replace(asked, limits=()))
+        unsaid = tuple(Verdict(name, "no model", Status.UNDECIDED, math.nan, "", said) for name in of_loop)
+        parts.append(Part("Not checked", unsaid))
+    if plant is not None:
+        box = [d for own in fitted for d in _fitted(plant, own)]
+        parts.append(on_plant(plant, controller, asked, box, runs=runs, seed=seed, progress=progress))
+    configuration = {
+        "controller": controller.name, "limits": asked.file, "model": getattr(model, "name", None),
+        "plant": getattr(plant, "name", None), "lags": lags, "bound": None if bound is None else list(bound), "nodes": nodes,
+        "rate": rate, "runs": runs,
+    }  # fmt: skip
+    boxes = () if left is None else described(left.errors)
+    return CheckResult(controller, tuple(parts), trial, boxes, None if dataset is None else Records(dataset), configuration, seed)
+
+
+@record
+class CheckResult(Answer):
+    """Verdicts by part, on the model and on the plant.
+
+    trial: one run of the loop; boxes: what the records leave open of the model, in words.
+    """
+
+    controller: Any
+    parts: tuple[Part, ...]
+    trial: Trial
+    boxes: tuple[str, ...]
+    records: Records | None
+    configuration: Mapping[str, Any]
+    seed: int
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """All verdicts, that of one run of the loop among them where it is lost."""
+        return after_trial([v for part in self.parts for v in part.verdicts], self.trial)
+
+    @property
+    def status(self) -> Status:
+        """The worst of them."""
+        return overall(self.verdicts)
+
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict over all, the run of the loop, then what failed, what is open, what holds."""
+        worst = sorted(self.verdicts, key=lambda v: -list(Status).index(v.status))
+        return [f"{self.status.value}: {counted(self.verdicts)}.", f"{self.tried}.", *(f"{v}." for v in worst)]
+
+    @property
+    def tried(self) -> str:
+        """What one run of the loop has shown."""
+        return f"LOST: {self.trial.sentence}" if self.trial.lost else self.trial.sentence
+
+    def to_dict(self) -> dict[str, Any]:
+        """Status, verdicts and the run of the loop."""
+        content = {
+            "status": self.status.value, "verdicts": [v.to_dict() for v in self.verdicts], "trial": dict(vars(self.trial))
+        }  # fmt: skip
+        return nullable(content)
+
+    def to_frame(self) -> Any:
+        """The verdicts as a pandas table. Raises ImportError without pandas."""
+        import pandas
+
+        table = verdict_table(self.verdicts)
+        return pandas.DataFrame(list(table.rows), columns=list(table.header))
+
+    def source(self) -> dict[str, Any]:
+        """Where the verdicts come from, unless a command says more of it."""
+        if self.records is None:
+            return provenance(self.configuration, (), self.seed)
+        return {**self.records.source(self.configuration), "seed": self.seed}
+
+    def report(self, source: Mapping[str, Any] | None = None) -> Report:
+        """Verdicts, margins over the schedule, envelopes along the run, worst machines."""
+        sections = [Section("Verdicts", (verdict_table(self.verdicts),))]
+        sections += [Section(part.title, part.blocks) for part in self.parts if part.blocks]
+        sections.append(Section("Provenance", (Provenance(dict(source or self.source())),)))
+        said = headline(self.controller.name, self.status, self.verdicts, self.trial)
+        return Report(f"Check of {self.controller.name}", said, tuple(sections))
+
+    def save(self, folder: str | Path, *, base: str = "", own: str = "", source: Mapping[str, Any] | None = None) -> Path:
+        """Write check.json, report.html and a file for each failure, which `workbench simulate --replay` runs again.
+
+        base: where the plant is found, own: where the controller is found if it is code of the user's, file.py:NAME. Returns
+        the folder.
+        """
+        folder, source = Path(folder), dict(source or self.source())
+        for part in self.parts:
+            part.save(folder, base, own, self.controller)
+        write_json(folder / CHECK_FILE, self.to_dict() | {"provenance": nullable(source)})
+        write_report(self.report(source), folder)
+        return folder
+
+    __repr__ = Answer.said
+
+
+def _limits(given: Limits) -> LoopLimits:
+    if isinstance(given, LoopLimits):
+        return given
+    return limits_of(given) if isinstance(given, Mapping) else load_limits(given)
+
+
+def _fitted(plant: Plant, given: Fitted) -> Iterable:
+    if isinstance(given, str | Path):
+        return fitted_box(plant, given)
+    return fitted_box_of(plant, given.to_dict() if isinstance(given, Answer) else given)
+
+
+def _tried(law: Any, limits: LoopLimits, model: LPVModel | None, plant: Plant | None) -> Trial:
+    """One run on the most truthful simulation at hand: of the plant, through what is asked; without one of the model."""
+    if plant is None:
+        assert model is not None
+        return tried_on_model(law, model)
+    check_asked(limits)
+    assert limits.run is not None
+    own = limits.run.scenario(plant, law)
+    references = np.column_stack([own.references[name] for name in law.references])
+    return along(law, plant, references, len(references) // 2, dict(own.start))
+
+
+def after_trial(verdicts: Sequence[Verdict], trial: Trial) -> list[Verdict]:
+    """The verdicts beside a run: one that was lost is a claim that failed, and a proof of frozen points says what it is."""
+    if not trial.lost:
+        return list(verdicts)
+    lost = Verdict("the loop holds along one run", trial.where, Status.FAILED, math.nan, "", trial.sentence)
+    told = [
+        replace(v, claim=f"{v.claim}{'' if FROZEN in v.claim else FROZEN}", sentence=f"{v.sentence}; {trial.sentence}")
+        if v.claim.startswith("stable") and v.status is not Status.FAILED
+        else v
+        for v in verdicts
+    ]
+    return [*told, lost]
+
+
+def headline(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial | None = None) -> str:
+    """The verdict in one paragraph."""
+    said = {
+        Status.PROVED: f"PROVED: {name} keeps everything that was asked, whatever the records leave open of the model, while "
+        "no command is at its stop.",
+        Status.PASSED: f"PASSED: nothing that was asked of {name} could be broken. What is marked PASSED was tried, not proved.",
+        Status.UNDECIDED: f"UNDECIDED: something asked of {name} is neither proved nor refuted. More records narrow the boxes, "
+        "a calmer law (design with a lower --sensitivity) narrows the band, and a limit outside of the band is proved.",
+        Status.FAILED: f"FAILED: {name} does not keep what was asked; a stored run shows it.",
+    }[status]
+    worst = [v for v in verdicts if v.status is status]
+    said = f"LOST: {trial.sentence}. {said}" if trial and trial.lost else said
+    return f"{said} {counted(verdicts)}.\n\n" + "\n\n".join(f"{v.claim} ({v.of}): {v.sentence}." for v in worst[:4])
+
+
+def counted(verdicts: Sequence[Verdict]) -> str:
+    """How many of each."""
+    number = {status: sum(v.status is status for v in verdicts) for status in Status}
+    return ", ".join(f"{count} {status.value}" for status, count in number.items() if count)
+
+
+def verdict_table(verdicts: Sequence[Verdict], title: str = "Verdicts") -> Table:
+    rows = tuple((v.claim, v.of, v.status.value, v.margin, v.unit, v.sentence, v.witness) for v in verdicts)
+    return Table(
+        title, ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
+        caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver and has its own "
+        "rounding in it. PASSED: no counterexample was found, which proves nothing. FAILED: the file named runs again with "
+        "workbench simulate --replay. UNDECIDED: neither; the margin is what is missing to a proof.",
+    )  # fmt: skip
+
+
+def described(errors: Sequence[IntervalModel]) -> tuple[str, ...]:
+    """A line for each output: the box of what its error may depend on, and what is left beyond."""
+    said = []
+    for own in errors:
+        box = own.modes[0].box
+        low, high = box.centre - box.radius, box.centre + box.radius
+        ends = [f"{low[i]:+.3g} to {high[i]:+.3g} times {name}" for i, name in enumerate(own.form.names[:-1])]
+        said.append(f"{own.output.name}: {', '.join(ends)}; beyond that up to {box.radius[-1]:.3g} {own.output.unit}".rstrip())
+    return tuple(said)
