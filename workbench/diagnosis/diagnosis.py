@@ -458,8 +458,12 @@ def _step(
             if begun.bic < special.bic + TIE:
                 finals.append((final(begun, general.key), general))
                 near.add(general.key)
-    finals = list({s.key: (m, s) for m, s in sorted(finals, key=lambda pair: -pair[0].bic)}.values())
-    finals.sort(key=lambda pair: pair[0].bic)
+    finals = _best_first(finals)
+    best = finals[0][0]
+    if best is not first:  # nor by that of the one which has come out best
+        finals = _best_first(
+            [*finals, *((final(m, s.key, best.predictor.noise), s) for m, s in finals[1:] if m.bic < best.bic + SWAP)]
+        )
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
     behind = (pair for pair in trials[1:] if pair[1].key not in near)
 
@@ -500,6 +504,12 @@ def _step(
         _closest(model, best, score.key, tying),
         others[score.key],
     )
+
+
+def _best_first(tried: Sequence[tuple[Model, Score]]) -> list[tuple[Model, Score]]:
+    """Models with the effects of scores by BIC, of each effect the best."""
+    best = {s.key: (m, s) for m, s in sorted(tried, key=lambda pair: -pair[0].bic)}
+    return sorted(best.values(), key=lambda pair: pair[0].bic)
 
 
 def _reach(plant: Plant, key: str, rival: str, gain: float) -> float:

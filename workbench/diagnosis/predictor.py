@@ -10,7 +10,7 @@ torque that comes and goes is no missing physics. So it does with the noise of t
 whitened, W_k e_k with W S W' = I.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
@@ -22,11 +22,13 @@ from workbench.errors import InputError, check_known
 from workbench.noise import measurement_noise
 from workbench.physics import stepper
 from workbench.physics.controller import Playback
+from workbench.physics.effects.effect import FOREVER
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
-FEWEST = 3  # integrator steps a sample: a sensor that lags sees the output as a straight line over each
+FEWEST = 3  # integrator steps a sample: a sensor that lags sees the output as a parabola over each
 UNTOLD = 5  # samples at the start of a record that do not count: what was commanded before them may still be under way
+FINE, FINEST = 4, 16  # times the plant's own integrator steps: what counts as exact, and where dry friction acts
 VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in all records: of a deviance nothing that counts
 LOOK = 600  # samples of a record on which that is looked at
 RAISED, RAISES = 4.0, 6  # factor of pushes where a filter loses a record, and how often
@@ -203,19 +205,38 @@ class Predictor:
 
     def coarser(self) -> "Predictor":
         """The same with as few integrator steps a sample as move all errors together by less than VISIBLE."""
-        fine = 4 * self.plant.substeps
-        exact, substeps = self._beginnings(fine), max(FEWEST, self.plant.substeps // 4)
+        off, substeps = self._off(FINE * self.plant.substeps), max(FEWEST, self.plant.substeps // 4)
+        while substeps < FINE * self.plant.substeps and off(substeps) > VISIBLE:
+            substeps += 1
+        return replace(self, substeps=substeps)
+
+    def finer(self) -> "Predictor":
+        """The same with as many integrator steps a sample as dry friction asks for that acts at the point.
+
+        It holds a place where it is, which a wider law does not: there the place creeps, and a fit makes up for that by other
+        levels, or one for each direction.
+        """
+        sizes = [i for i, slot in enumerate(self.plant.slots) if slot.key in self._widths and not slot.parameter.shape]
+        if not np.any(self.point.eta[:, sizes]):
+            return self
+        most, substeps = FINEST * self.plant.substeps, max(self.substeps, self.plant.substeps)
+        off = self._off(most)
+        while substeps < most and off(substeps) > VISIBLE:
+            substeps = min(2 * substeps, most)
+        return replace(self, substeps=substeps)
+
+    # ---- inside ------------------------------------------------------------------------------------------------------
+
+    def _off(self, fine: int) -> Callable[[int], float]:
+        """By how much the errors of all records move, as a sum of squares, from `fine` integrator steps a sample to fewer."""
+        exact = self._beginnings(fine)
         share = [len(r) / len(e) for r, e in zip(self.records, exact, strict=True)]
 
         def off(substeps: int) -> float:
             pairs = zip(self._beginnings(substeps), exact, share, strict=True)
             return sum(s * float(np.sum((e - right) ** 2)) for e, right, s in pairs)
 
-        while substeps < fine and off(substeps) > VISIBLE:
-            substeps += 1
-        return replace(self, substeps=substeps)
-
-    # ---- inside ------------------------------------------------------------------------------------------------------
+        return off
 
     def _beginnings(self, substeps: int) -> list[np.ndarray]:
         """Whitened errors of the first LOOK samples of every record at the point, with so many integrator steps a sample."""
@@ -229,7 +250,8 @@ class Predictor:
         N, nothing = len(r), np.empty((R, 0))
         lanes = stepper.Lanes(
             parameters=wide[0],
-            effects=np.where(_rounding(self.plant), 0.0, wide[1]),  # a staircase has no slopes for a fit or a filter
+            # a staircase has no slopes for a fit or a filter
+            effects=self._softened(wide[0], np.where(_rounding(self.plant), 0.0, wide[1]), wide[2], r.u[0]),
             gains=nothing,
             memory=nothing,
             start=wide[2],
@@ -239,6 +261,34 @@ class Predictor:
             noise=np.broadcast_to(np.zeros(1), (R, N, len(self.plant.outputs))),
         )
         return stepper.run(self.plant, player(self.plant), lanes, self.substeps, self.threads, steering)
+
+    def _softened(self, p: np.ndarray, eta: np.ndarray, start: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Effects (R, ne) with every law of dry friction as wide as an integrator step h can follow: width^2 + (h a)^2.
+
+        a: the acceleration that the friction gives. A narrower law chatters at rest, and a likelihood with chatter in it has a
+        minimum everywhere.
+        """
+        plant, soft, none = self.plant, eta.copy(), np.repeat(self.plant.effect_vector()[None], len(eta), axis=0)
+        rest, u = start.copy(), np.repeat(u[None], len(eta), axis=0)
+        rest[:, [plant.state_names.index(speed) for speed in plant.turning.values()]] = 0.0
+
+        def slopes(effects: np.ndarray) -> np.ndarray:
+            """Of every state's rate over the state itself, (R, nx), when what sets in has set in."""
+            return np.diagonal(plant.jacobians_of(rest, u, p, effects, t=FOREVER)[0], axis1=1, axis2=2)
+
+        for key, width in self._widths.items():
+            own = [i for i, slot in enumerate(plant.slots) if slot.key == key]
+            if np.any(eta[:, [i for i in own if not plant.slots[i].parameter.shape]]):
+                alone = none.copy()
+                alone[:, own] = eta[:, own]
+                steep = np.nan_to_num(np.abs(slopes(alone) - slopes(none))).max(axis=1)  # a / width
+                soft[:, width] *= np.sqrt(1.0 + (plant.dt / self.substeps * steep) ** 2)
+        return soft
+
+    @cached_property
+    def _widths(self) -> dict[str, int]:
+        """Keys of laws of dry friction, and where their widths stand among the numbers of effects."""
+        return {slot.key: i for i, slot in enumerate(self.plant.slots) if slot.parameter.name == "width"}
 
     def _gain_of_all(self, i: int) -> np.ndarray:
         """The gain (N, n, ny) with a row for all that a filter may carry, 0 where this one does not."""

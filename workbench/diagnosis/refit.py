@@ -292,12 +292,12 @@ def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Mode
     for settling in range(SETTLINGS):
         unknowns, z = model.fit.unknowns.recentred(model.fit.z)
         predictor = model.predictor.regained(model.fit.point)
-        predictor = predictor.with_noise(tuned(predictor, again=settling > 0))
+        predictor = predictor.with_noise(tuned(predictor, again=settling > 0)).finer()
         fit = gauss_newton(predictor, unknowns, z, sizes, enough=0.2)
         better = Model(replace(predictor, point=fit.point), fit)
-        gained = model.deviance - better.deviance
-        model = better if gained > 0.0 else model
-        if gained < CONVERGED:
+        finer, gained = predictor.substeps > model.predictor.substeps, model.deviance - better.deviance
+        model = better if finer or gained > 0.0 else model
+        if gained < CONVERGED and not finer:
             break
     return model
 

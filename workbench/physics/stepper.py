@@ -274,7 +274,7 @@ class _Block:
         W[rows.span("u")] = lanes.hold[pick].T
         W[rows.span("gaps")] = np.reshape(plant.settle_gaps(lanes.hold[pick].T, eta), (-1, L))
 
-        step, back, first = _grid(plant, lanes.effects[pick], substeps)
+        step, back, first = _grid(plant, lanes.effects[pick], substeps, N)
         acting = np.empty((first + N, len(plant.inputs), L))
         acting[:first] = lanes.hold[pick].T
         states = np.empty((N, rows.size["x"], L))
@@ -347,17 +347,18 @@ def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int,
     return Trajectories(states[:, :, : len(plant.states)], measured, commands), memories
 
 
-def _grid(plant: Plant, effects: np.ndarray, substeps: int) -> tuple[np.ndarray, np.ndarray, int]:
+def _grid(plant: Plant, effects: np.ndarray, substeps: int, samples: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Step lengths (S, L), for each step how many samples back the acting input was commanded (S, nu, L), and the longest.
 
     Without delays S = substeps. With them one step more for each input: the sorted union of the equal grid and the instants
-    at which a shifted hold changes.
+    at which a shifted hold changes. A delay beyond the run's samples is that of the run: nothing arrives.
     """
     L, dt = len(effects), plant.dt
     delay = np.zeros((len(plant.inputs), L))
     for i, slot in enumerate(plant.slots):
         if slot.effect.id == "input-delay":
             delay[plant.input_names.index(slot.place)] += effects[:, i]
+    delay = np.minimum(delay, samples * dt)
     whole = np.floor(delay / dt + 1e-12)
     change = np.clip(delay - whole * dt, 0.0, dt)  # instant within a sample at which the older command gives way
     points = np.repeat(np.linspace(0.0, dt, substeps + 1)[:, None], L, axis=1)

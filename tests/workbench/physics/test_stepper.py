@@ -54,12 +54,14 @@ def relative(states, truth):
     return np.abs(states - truth).max(axis=0) / np.abs(truth).max(axis=0)
 
 
+@pytest.mark.slow
 def test_closed_loop_equals_solve_ivp_with_the_loops_of_the_reference_file():
     scenario = steps()
     run = simulate(WEB_WINDING, LOOPS, scenario)
     assert relative(run.states.values, reference_loop(scenario)).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_closed_loop_with_effects_equals_solve_ivp():
     scenario = steps()
     effects = {
@@ -74,6 +76,7 @@ def test_closed_loop_with_effects_equals_solve_ivp():
     assert relative(run.states.values, nominal.states.values).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_integrator_has_order_four():
     truth = reference_loop(steps(25))
     error = [relative(simulate(WEB_WINDING, LOOPS, steps(25), substeps=m).states.values, truth).max() for m in (20, 40, 80)]
@@ -161,6 +164,13 @@ def test_fractional_delay_is_exact(delay):
     np.testing.assert_allclose(run.states.values, truth, atol=2e-8)
 
 
+@pytest.mark.parametrize("delay", [0.02 * 200, 0.02 * 200 + 0.013, 1e3, 1e9, 1e300])
+def test_what_is_later_than_the_run_never_arrives(delay):
+    """A fit may try any dead time: it costs no memory, and what was held before goes on."""
+    late = robot_run(INPUT, input_delay_at_u={"time": delay}).states.values
+    assert np.array_equal(late, robot_run(np.zeros(200)).states.values)
+
+
 def test_sensor_lag_solves_its_differential_equation():
     tau, run = 0.05, robot_run(INPUT, sensor_lag_at_v={"time": 0.05})
     A, B, C, _ = WELDING_ROBOT.linearize([0.0, 0.0], [0.0, 0.0])
@@ -243,6 +253,7 @@ def test_bad_requests_are_refused_by_name():
         simulate(WEB_WINDING, replace(LOOPS, Kp=300 * LOOPS.Kp), steps(2000))
 
 
+@pytest.mark.slow
 def test_plans_of_every_machine_run():
     from studies.experiments import EXPERIMENTS, PLANTS
 
@@ -312,6 +323,7 @@ def test_batches_refuse_impossible_numbers():
         simulate(WELDING_ROBOT, loop, scenario, substeps=-1)
 
 
+@pytest.mark.slow
 def test_a_kernel_file_that_was_cut_short_is_mended(tmp_path, monkeypatch):
     kernel.cache_folder.cache_clear()
     monkeypatch.setenv("WORKBENCH_CACHE", str(tmp_path))
