@@ -34,6 +34,7 @@ def law(model):
     return ScheduledPIDDesign(**LIMITS, setpoint={"y": 0.0}).on(model)
 
 
+@pytest.mark.slow
 def test_a_design_is_the_controller_that_the_command_writes(model, law, tmp_path):
     path = tmp_path / "model.json"
     model.save(path)
@@ -106,6 +107,7 @@ def test_export_writes_what_the_command_writes(law, tmp_path):
         assert paths
 
 
+@pytest.mark.slow
 def test_the_house_s_own_controllers_pass_what_is_asked_of_a_user_s(model, law):
     check_controller(law, "law")
     check_controller(MPCDesign(**LIMITS).on(model), "mpc")

@@ -75,6 +75,7 @@ def monotone(seed):
         at += random.integers(0, 2, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_looser_bounds_are_never_worse(seed):
     monotone(seed)
@@ -86,6 +87,7 @@ def test_looser_bounds_are_never_worse_on_more_plants(seed):
     monotone(seed)
 
 
+@pytest.mark.slow
 def test_what_was_refused_or_did_not_end():
     """1 / (s^2 + 0.6 s + 1): effort 10 was found and 20 refused. All efforts now, and never less."""
     second_order = signal.cont2discrete(([1.0], [1.0, 0.6, 1.0]), 0.1, "zoh")

@@ -144,6 +144,7 @@ def assert_same(law, rho, expected, got, tolerance):
     np.testing.assert_array_equal(outside, ~inside if law.schedule else np.zeros(len(rho), dtype=bool))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", LAWS)
 def test_c_is_the_law(tmp_path, key):
     law = LAWS[key]
@@ -152,6 +153,7 @@ def test_c_is_the_law(tmp_path, key):
         assert_same(law, given[2], by_the_law(law, *given), by_c(law, *given, in_c(law, tmp_path, f"law_{seed}")), 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", LAWS)
 def test_structured_text_is_the_law(key):
     law = LAWS[key]
@@ -191,6 +193,7 @@ MISTAKES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_would_be_seen(tmp_path, mistake):
     law, (right, wrong) = drawn(1, 2, 3, KNOTS, 3, span=(0.0118, 0.025)), MISTAKES[mistake]
@@ -225,6 +228,7 @@ def winding():
     return law, (run[["w3_set", "theta_set"]], run[["w3", "theta"]], run["r2"], start), run[["V2", "V1"]]
 
 
+@pytest.mark.slow
 def test_a_whole_record_of_the_winding_machine(winding, tmp_path):
     law, given, recorded = winding
     expected = by_the_law(law, *given)
@@ -236,6 +240,7 @@ def test_a_whole_record_of_the_winding_machine(winding, tmp_path):
         assert_same(law, given[2], expected, got, 1e-12)
 
 
+@pytest.mark.slow
 def test_single_precision_differs_by_what_the_documentation_says(winding, tmp_path):
     law, given, recorded = winding
     u, _, outside, valid = by_c(law, *given, in_c(law, tmp_path, single=True), single=True)
@@ -251,6 +256,7 @@ def test_single_precision_differs_by_what_the_documentation_says(winding, tmp_pa
         np.testing.assert_allclose(got, expected, atol=1e-4, err_msg=key)
 
 
+@pytest.mark.slow
 def test_two_states_run_two_loops(tmp_path):
     law = LAWS["2x3 over knots"]
     source, given = in_c(law, tmp_path), [events(law, seed) for seed in (4, 5)]
@@ -280,6 +286,7 @@ def test_texts_are_reproducible_and_say_what_they_are():
     assert max(map(len, source.splitlines())) <= WIDTH
 
 
+@pytest.mark.slow
 def test_no_name_or_unit_ends_a_comment(tmp_path):
     law = replace(
         drawn(1, 2, 3, KNOTS, 3), name="*/ (* evil *) °", units={"V1": "*/", "V2": "*)", "w3": "(*", "theta": "/*", "r2": "µm"}
@@ -429,6 +436,7 @@ def mpc(model, **options):
     return design_mpc(model, fallback, horizon=6, **options)
 
 
+@pytest.mark.slow
 def test_another_program_computes_the_commands_from_the_matrices(tmp_path):
     model = replace(lpv(), outputs=(Channel("c", "rad/s", "output"), Channel("d", "deg", "output")))
     law = mpc(model, y_high=np.array([6.0, np.inf]))

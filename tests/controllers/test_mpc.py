@@ -156,6 +156,7 @@ def stated_in_cvxpy(controller, state, z, r, path):
     return u.value
 
 
+@pytest.mark.slow
 def test_the_first_move_is_that_of_cvxpy_and_clarabel():
     controller = law(horizon=12, y_low=np.array([4.0, -1.0]), y_high=np.array([6.0, 2.0]))
     random, active = np.random.default_rng(3), 0
@@ -245,6 +246,7 @@ def test_limits_of_outputs_are_kept_where_they_can_be():
     assert kept[:, 0].max() < 5.4 + 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_2000_steps_of_whatever_comes_each(seed):
     """Random set-points, limits, starts outside of them, gaps in the measurements: always a number, within limits and rates."""

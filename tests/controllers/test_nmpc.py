@@ -49,6 +49,7 @@ def somewhere(random) -> tuple[np.ndarray, np.ndarray]:
 # ---- the plant at its samples ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sample_is_that_of_the_stepper():
     model, random = SampledPlant(WEB_WINDING, ("V2", "V1")), np.random.default_rng(1)
     for _ in range(3):
@@ -81,6 +82,7 @@ def test_jacobians_are_the_slopes_of_what_they_belong_to():
         np.testing.assert_allclose(B[:, i], slope, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", [WEB_WINDING, WELDING_ROBOT], ids=lambda plant: plant.name)
 def test_what_the_equation_alone_does_not_say_is_refused(plant):
     """Every effect on its own: what needs a memory, an angle, the time or another input is refused by name, the rest is not."""
@@ -127,6 +129,7 @@ def test_friction_of_an_extended_plant_is_in_the_prediction():
 # ---- the filter --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_filter_of_a_linear_plant_settles_at_the_riccati_solution():
     observer = PlantObserver(SampledPlant(WELDING_ROBOT, ("u",)))
     p = dict(zip((q.name for q in WELDING_ROBOT.parameters), WELDING_ROBOT.nominal, strict=True))
@@ -180,6 +183,7 @@ def test_what_is_not_measured_corrects_nothing():
 # ---- the optimal course ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_many_gauss_newton_steps_arrive_where_ipopt_does():
     limits = {"y_low": np.array([95.0, -5.0]), "y_high": np.array([110.0, 5.0]), "horizon": 15}
     ours, theirs = winding(**limits, solver=RealTimeIteration(8)), winding(**limits, solver=Ipopt())
@@ -203,6 +207,7 @@ def test_many_gauss_newton_steps_arrive_where_ipopt_does():
     assert {"rate", "output"} <= active
 
 
+@pytest.mark.slow
 def test_the_optimal_course_is_that_of_scipy_on_the_simulated_plant():
     """The cost as stated, from runs of the stepper; a solver that knows nothing of it but its value."""
     N, random = 4, np.random.default_rng(5)
@@ -251,6 +256,7 @@ def test_on_a_linear_plant_one_step_is_the_least_squares_solution():
 # ---- in the loop -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_offset_under_a_push_it_does_not_know_and_a_wrong_parameter():
     law, N = winding(), 200
     references = {"w3_set": np.full(N, 95.0), "theta_set": np.full(N, 2.0)}
@@ -260,6 +266,7 @@ def test_no_offset_under_a_push_it_does_not_know_and_a_wrong_parameter():
     assert np.abs(run["theta"][-50:] - 2.0).max() < 0.05
 
 
+@pytest.mark.slow
 def test_random_set_points_limits_and_missing_measurements_never_break_it():
     law, random, N = (
         winding(y_low=np.array([80.0, -10.0]), y_high=np.array([115.0, 10.0]), horizon=10),
@@ -308,6 +315,7 @@ def test_a_second_solver_then_the_last_plan_then_the_pid_and_back(monkeypatch, s
 # ---- files and refusals ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_it_comes_back_from_its_file_as_it_went(tmp_path):
     plant = replace(WEB_WINDING, effects={"coulomb@unwind": {"level": 0.002}})
     own = winding()

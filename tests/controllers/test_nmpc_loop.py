@@ -55,6 +55,7 @@ def linearised(x, u, substeps):
     return slopes(lambda x: sampled(x, u, substeps), x), slopes(lambda u: sampled(x, u, substeps), u, STEPS[1])
 
 
+@pytest.mark.slow
 def test_its_filter_is_the_extended_kalman_filter_of_the_plant():
     """Written by hand beside `step`: corrected by this sample's measurement, moved by this sample's command."""
     law = replace(winding(horizon=6), drift=0.5)
@@ -115,6 +116,7 @@ def robot_with_push():
     return A, np.append(A[:2, 2], 0.0)[:, None]
 
 
+@pytest.mark.slow
 def test_pushes_at_inputs_and_noise_of_the_process_are_in_the_filter():
     observer = PlantObserver(SampledPlant(PUSHED, ("u",)), drift=1.5)
     A, B = robot_with_push()
@@ -200,6 +202,7 @@ def test_several_steps_are_optimal_where_each_of_them_is(monkeypatch, answers, e
     assert (plan is None) if steps == 0 else np.array_equal(plan, found[-1])
 
 
+@pytest.mark.slow
 def test_ipopt_is_not_believed_before_it_has_converged():
     (x, u), d = somewhere(np.random.default_rng(12)), np.array([0.1, -0.05])
     r = np.tile([104.0, -2.0], (8, 1))

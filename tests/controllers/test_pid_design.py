@@ -12,6 +12,8 @@ from workbench.errors import InputError
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model, load_model
 from workbench.robustness.frozen import Bounds, loops_of, margins_of
 
+pytestmark = pytest.mark.slow
+
 DT = 0.1
 INPUTS = (Channel("V1", "V", "input"), Channel("V2", "V", "input"))
 OUTPUTS = (Channel("w3", "rad/s", "output"), Channel("theta", "deg", "output"))

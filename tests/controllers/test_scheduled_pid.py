@@ -207,6 +207,7 @@ def test_a_moving_schedule_moves_the_command_only_where_the_integral_is_misplace
     np.testing.assert_allclose(other[-1], 2.0 * other[59], rtol=1e-12)  # its whole steady command doubles with the gains
 
 
+@pytest.mark.slow
 def test_a_moving_schedule_in_closed_loop():
     """On a first-order plant under a constant load the misplaced integral kicks the output; the right one leaves it alone."""
     n = 1300
@@ -228,6 +229,7 @@ def test_a_moving_schedule_in_closed_loop():
 # ---- limits ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.integers(0, 10_000), st.booleans(), st.floats(0.1, 3.0), st.floats(1.0, 50.0))
 def test_commands_keep_their_limits_and_rates(seed, clamping, limit, rate):
@@ -252,6 +254,7 @@ def overshoot(anti_windup):
     return max(out) / 4.0 - 1.0
 
 
+@pytest.mark.slow
 def test_it_leaves_saturation_without_overshoot():
     wound = overshoot(BackCalculation(np.array([1e9])))
     assert wound > 0.10
@@ -274,6 +277,7 @@ def test_clamping_holds_the_integral_only_while_it_pushes_outward():
 # ---- in the compiled step ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anti_windup", [BackCalculation(), Clamping()])
 def test_the_compiled_law_commands_what_the_law_commands(anti_windup):
     _, u0 = WEB_WINDING.equilibrium()
@@ -302,6 +306,7 @@ def test_other_gains_and_knots_need_no_other_kernel():
     assert stepper._kernel(WEB_WINDING, scheduled(), 1)[0] is stepper._kernel(WEB_WINDING, other, 1)[0]
 
 
+@pytest.mark.slow
 def test_closed_loop_equals_linear_theory_on_a_linear_plant():
     """x' = -x + u sampled exactly, under the law: the run equals python-control's feedback connection."""
     plant = Plant(

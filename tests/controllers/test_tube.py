@@ -21,6 +21,8 @@ from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
 
+pytestmark = pytest.mark.slow
+
 DT, NAMES = 0.1, (("a", "b"), ("c", "d"), ("c_set", "d_set"))
 A = np.array([[0.9, 0.1, 0.0], [-0.1, 0.8, 0.1], [0.0, 0.0, 0.6]])
 B = np.array([[0.2, 0.0], [0.1, 0.3], [0.0, 0.4]])

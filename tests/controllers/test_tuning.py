@@ -61,6 +61,7 @@ def norms(plant, X, omega, laws=continuous):
     return np.array([np.linalg.norm(M, 2, axis=(1, 2)).max() for M in (S, np.eye(P.shape[1]) - S, K @ S)])
 
 
+@pytest.mark.slow
 def test_the_published_mimo_example():
     """Boyd, Hast, Astrom (2016) section 6: Wood-Berry, 300 frequencies, |S|, |T| <= 1.4, |Q| <= 3 / sigma_min(P(0)).
 
@@ -81,6 +82,7 @@ def test_the_published_mimo_example():
     np.testing.assert_allclose(found.peaks[0], norms(plant, found.X, omega), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_published_decentralised_example_is_reached_or_beaten():
     """The same with diagonal gains; printed Ki = diag(0.0210, -0.0136): a local optimum, and ours may not be a worse one."""
     plant, omega = WoodBerry(), np.geomspace(1e-3, 1e3, 150)
@@ -143,6 +145,7 @@ def test_a_surface_brings_every_point_near_what_it_reaches_alone():
     assert constant.steps[-1] < 0.45
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_bounds_are_kept_and_the_loop_is_stable_on_drawn_plants(seed):
     random, dt = np.random.default_rng(seed), 0.1

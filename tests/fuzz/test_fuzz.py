@@ -35,6 +35,7 @@ def test_every_target_reads_its_whole_file(every, tmp_path):
         assert target.read(path) is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=100, deadline=10_000, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**48))

@@ -10,6 +10,8 @@ import pytest
 
 from tests.fuzz.strangers import PLANTS, faults
 
+pytestmark = pytest.mark.slow
+
 QUICK = ("identify", "compare", "effects")
 
 
@@ -23,7 +25,6 @@ def test_a_reactor_whose_runs_are_lost_without_unlogged_torques_is_an_answer_or_
     assert faults(1000, tmp_path, ("diagnose",), kind="reactor") == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", PLANTS)
 def test_every_command_answers_or_refuses(kind):
     for seed in range(3):

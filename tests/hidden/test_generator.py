@@ -101,6 +101,7 @@ def theirs(speed, truth=()):
     return simulate(winding.PLANT, loops, scenario, effects=effects, substeps=20).experiment[LOGGED]
 
 
+@pytest.mark.slow
 def test_a_quiet_winding_machine_runs_as_the_workbench_simulates_it():
     speed = 100.0 + staircase(N, [0.0, -60.0, -100.0, 20.0], rise=50)
     expected = theirs(speed)
@@ -119,6 +120,7 @@ AGREEMENT = dict.fromkeys(SIZE, 0.03) | {
 ONE_PLACE = {effect: place for place, effects in winding.PLACES.items() for effect in effects} | {"gear-backlash": "V1"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", [effect for effect in ONE_PLACE if effect not in ("stribeck", "gear-backlash")])
 def test_a_size_means_what_it_means_in_the_catalogue(effect):
     # as large as the catalogue's of the same numbers, though written with other equations
@@ -134,6 +136,7 @@ def test_a_size_means_what_it_means_in_the_catalogue(effect):
     assert np.linalg.norm(moved - same) < AGREEMENT[effect] * np.linalg.norm(same)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", [robot, axis])
 def test_a_quiet_robot_and_a_quiet_axis_move_as_the_workbench_simulates_their_commands(module):
     _, programme = short(module)
@@ -256,6 +259,7 @@ def test_a_stiffening_web_has_the_stated_slope_at_rest_and_its_first_order_chang
         assert (T(x + step) - T(x - step)) / (2 * step) == pytest.approx(K * (1 + c * (T(x) - T0) / T0), rel=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("module", "key"), KEYS, ids=NAMES)
 def test_an_effect_of_size_0_is_neutral_and_one_of_its_largest_size_is_not(module, key):
     quiet = QUIET.setdefault(module.NAME, values(module))
@@ -302,6 +306,7 @@ def test_coloured_noise_has_the_stated_spectrum():
 # ---- the cases -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_same_seed_gives_the_same_case_bit_for_bit_and_another_seed_another(machine):
     first, again, other = (draw(seed, machine=machine, kind=Kind.SINGLE, limits=LIMITS) for seed in (7, 7, 8))
@@ -328,6 +333,7 @@ def test_records_have_the_channels_units_and_roles_of_the_plant(machine):
     assert not set(case.records.names) & set(case.held_out.names)
 
 
+@pytest.mark.slow
 def test_some_winding_machines_measure_neither_reel_speed_and_then_hide_nothing_in_those_sensors():
     limits = {"sensor-bias@w1": 0.2, "sensor-bias@w3": 0.2}
     cases = [draw(seed, machine="web-winding", kind=Kind.SINGLE, limits=limits) for seed in range(4)]
@@ -349,6 +355,7 @@ def test_machines_and_kinds_come_in_the_stated_proportions():
             assert abs(counts[name] - N * share) < 4 * np.sqrt(N * share * (1 - share))
 
 
+@pytest.mark.slow
 def test_sizes_are_stated_multiples_of_the_limit_within_range_and_capped():
     for seed in range(20):
         case = draw(seed, machine="positioning-axis", kind=Kind.PAIR, limits=LIMITS)
@@ -389,6 +396,7 @@ def test_records_of_a_bench_hold_just_what_is_asked_for():
         assert not np.array_equal(a.values, c.values)
 
 
+@pytest.mark.slow
 def test_quiet_machines_keep_the_tape_tight():
     for seed in range(50):
         bench = _Bench(winding, seed)
@@ -397,6 +405,7 @@ def test_quiet_machines_keep_the_tape_tight():
         assert outcome.fault == "", f"seed {seed}, {bench.programmes[k].name}"
 
 
+@pytest.mark.slow
 def test_a_slack_tape_is_found_drawn_again_and_noted(monkeypatch):
     monkeypatch.setitem(winding.CAPS, "periodic-tension", 60.0)
     setting, programme = short(winding)
@@ -478,6 +487,7 @@ def test_forces_push_the_axis_without_a_loop_from_the_middle_of_its_way():
         further(case, "push", {"F": np.full(6000, 100.0)})
 
 
+@pytest.mark.slow
 def test_a_winding_machine_whose_loop_was_drawn_again_repeats_a_record_under_the_loop_of_that_record(monkeypatch):
     monkeypatch.setitem(winding.CAPS, "periodic-tension", 60.0)
     case = draw(1, machine="web-winding", kind=Kind.SINGLE, limits={"periodic-tension@T1": 2.0})

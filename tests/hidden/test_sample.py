@@ -11,6 +11,8 @@ from studies.hidden_effects import limits_of, run_case, said
 from studies.hidden_scores import Outcome, must_be_found, outcome, share, strangers
 from tests.hidden.case import Kind, lot_of
 
+pytestmark = pytest.mark.slow
+
 FIRST = 42_000_000  # chosen once, before anything was run
 SHARES = {"welding-robot": 14, "positioning-axis": 14}
 WINDING = (Kind.NOTHING, Kind.SINGLE)  # one of each: such a case takes as long as twenty others

@@ -9,6 +9,8 @@ from tests.strangers.registry import MACHINES
 from workbench.data import Dataset
 from workbench.diagnosis.diagnosis import diagnose
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("seed", "key", "numbers"),

@@ -202,6 +202,7 @@ def test_an_open_cone_empties_as_torricelli_says():
 # ---- friction, amplifiers, sensors ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_shaft_that_rubs_stands_still_exactly_and_slides_with_the_level():
     dry = {"coulomb@joint": {"level": 0.2}}
     q = nominal(servo.STRANGER)
@@ -212,6 +213,7 @@ def test_a_shaft_that_rubs_stands_still_exactly_and_slides_with_the_level():
     assert x[-1, 1] == pytest.approx(steady, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_sliding_friction_is_of_second_order_in_the_step():
     dry, ends = {"coulomb@motor": {"level": 0.1}, "stribeck@load": {"level": 0.05, "speed": 20.0}}, []
     for k in (1, 2, 4, 32):
@@ -221,6 +223,7 @@ def test_sliding_friction_is_of_second_order_in_the_step():
     assert off[1] / off[2] > 3.0
 
 
+@pytest.mark.slow
 def test_friction_of_the_pendulum_acts_on_the_cart_too_and_ends_all_motion():
     x = held(
         crane.STRANGER,
@@ -262,6 +265,7 @@ def test_slow_sensors_follow_a_ramp_late_by_their_time(own, late):
     assert sensed(own, 2.0 + 3.0 * t)[-1] == pytest.approx(2.0 + 3.0 * (2.0 - late), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_records_behind_a_fast_resonance_do_not_depend_on_the_step():
     machine = MACHINES["conical-tank"]
     swinging = (Hidden("sensor-resonance", "level", {"time": 0.028, "damping": 0.3}, 5.0),)
@@ -299,6 +303,7 @@ def test_amplifiers_do_what_their_sentences_say():
     assert lost == pytest.approx(0.04, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_sound_records_come_from_every_machine():
     for seed in range(len(MACHINES)):
         drawn = _Bench(setting(MACHINES[NAMES[seed]], np.random.default_rng([seed, 2])), seed)
@@ -306,6 +311,7 @@ def test_sound_records_come_from_every_machine():
         assert drawn.sound(drawn.run((), 2)), drawn.s.machine.name
 
 
+@pytest.mark.slow
 def test_the_generator_is_deterministic_by_seed():
     first, again, other = draw(19), draw(19), draw(5)
     assert first.machine == other.machine

@@ -45,6 +45,7 @@ def shown(bench, log, acting):
     return c - b @ np.linalg.solve(A, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["offset@pump", "sensor-gain@level"])
 def test_at_its_limit_an_effect_shows_by_five_deviations(bench, key):
     name, top = ("level", 1.0) if key.startswith("offset") else ("error", 0.2)

@@ -10,6 +10,8 @@ from studies.commands.calibrate import parse_bounds
 from workbench.errors import InputError
 from workbench.readers import read_file, write_csv
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):

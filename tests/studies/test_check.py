@@ -12,6 +12,8 @@ from workbench.data import Dataset
 from workbench.identification.lti import LTI
 from workbench.readers import read_file
 
+pytestmark = pytest.mark.slow
+
 LIMITS = """
 [run]
 duration = 6.0

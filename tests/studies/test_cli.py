@@ -34,6 +34,7 @@ def refused(capsys, *words):
     return capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_reader_of_the_output_who_stops_reading_does_not_stop_the_command(tmp_path):
     """As in `workbench simulate ... | head -1`."""
     words = ("simulate", "welding-robot", "--experiment", "rbs", "steps", "--out", str(tmp_path))
@@ -92,6 +93,7 @@ def test_effects_parameters_and_start_reach_the_plant(tmp_path):
     assert c["w3"][0] == pytest.approx(90.0)
 
 
+@pytest.mark.slow
 def test_identify_and_compare(records, tmp_path, capsys):
     paths = [str(records / f"{name}.csv") for name in ("prbs1", "rbs", "rgs")]
     words = ["identify", paths[0], paths[1], "--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--order", "3"]
@@ -205,6 +207,7 @@ def test_a_measured_record_is_never_overwritten(capsys, records, tmp_path):
     assert mine.read_bytes() == (records / "rbs.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_held_out_is_checked_not_believed(capsys, records, tmp_path):
     a, c = str(records / "prbs1.csv"), str(records / "rgs.csv")
     copy = tmp_path / "copy.csv"
@@ -221,12 +224,14 @@ def test_held_out_is_checked_not_believed(capsys, records, tmp_path):
     assert "named twice" in refused(capsys, "compare", model, model, "--records", c)
 
 
+@pytest.mark.slow
 def test_best_says_what_was_judged_on_what(capsys, records, tmp_path):
     fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--order", "2", "--out", str(tmp_path))
     assert main(["identify", str(records / "prbs1.csv"), *fit, "--model", "best"]) == 0
     assert "on two fifths of the estimation records that it was not fitted to: lti" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_schedule_beyond_the_models_range_is_said(capsys, records, tmp_path):
     short = tmp_path / "short.csv"
     lines = (records / "prbs1.csv").read_text().splitlines(keepends=True)
@@ -293,6 +298,7 @@ def test_what_the_shell_runs_says_a_crash_with_a_code_that_is_no_answer(monkeypa
     assert '"studies.cli:console"' in (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_kilohertz_record_is_thinned_with_a_word_and_the_user_may_choose(tmp_path, capsys):
     from tests.workbench.test_decimation import slow
     from workbench.readers import write_csv
@@ -307,6 +313,7 @@ def test_a_kilohertz_record_is_thinned_with_a_word_and_the_user_may_choose(tmp_p
     assert "used every 0.02 s (as asked)" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_records_that_are_refused_may_be_taken_anyway_and_the_provenance_says_so(tmp_path, capsys):
     assert main(["simulate", "welding-robot", "--experiment", "rbs", "--seed", "3", "--out", str(tmp_path)]) == 0
     e = read_file(tmp_path / "rbs.csv")

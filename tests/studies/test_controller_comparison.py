@@ -18,6 +18,8 @@ from studies.table import made, whole_rows
 from workbench.errors import InputError
 from workbench.simulation import LeftRangeError, simulate
 
+pytestmark = pytest.mark.slow
+
 N = 250
 LAWS_OF_ROBOT = ("PID", "robust PID", "MPC", "NMPC")
 

@@ -22,6 +22,8 @@ from workbench.identification.ssm import SSM
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, load_model
 from workbench.simulation import simulate
 
+pytestmark = pytest.mark.slow
+
 
 def turning_model() -> LPVModel:
     """Two quick lags behind steady gains that turn with the radius; sampled as the winding machine is."""

@@ -41,6 +41,7 @@ def design(folder, *more, kind="mpc", keep="c=3:7"):
     return main(["design", kind, *files, *limits, "--move", "0.3", *more])
 
 
+@pytest.mark.slow
 def test_design_writes_a_tube_and_says_what_it_takes(folder, capsys):
     assert design(folder, "--tube", "--records", str(folder / "a.csv")) == 0
     said = capsys.readouterr().out

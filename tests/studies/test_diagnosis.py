@@ -195,6 +195,7 @@ def test_errors_are_said_from_the_data_sheet_over_recalibration_to_the_extension
 # ---- files and page --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_says_the_verdict_first_and_writes_all_it_promises(records, diagnosed, tmp_path, capsys):
     asked = diagnosed(answer())
     paths = [str(records / f"{name}.csv") for name in ("curve1", "rbs", "prbs")]
@@ -249,6 +250,7 @@ def test_the_command_says_the_verdict_first_and_writes_all_it_promises(records, 
     assert len(list((tmp_path / "data").glob("*.csv"))) == page.count("<figure") + page.count('class="table" id')
 
 
+@pytest.mark.slow
 def test_a_delay_is_shown_as_a_shift_in_time_beside_the_other_causes(diagnosed, tmp_path):
     both = {**HIDDEN, "input-delay@u": {"time": 0.1}}
     for name in ("rbs", "prbs"):
@@ -263,6 +265,7 @@ def test_a_delay_is_shown_as_a_shift_in_time_beside_the_other_causes(diagnosed, 
     assert np.std(measured - after) < 0.2 * np.std(measured - before)
 
 
+@pytest.mark.slow
 def test_the_extended_plant_runs_and_explains_the_held_out_record(records, diagnosed, tmp_path, capsys):
     diagnosed(answer(parameters={}))
     path = str(records / "prbs.csv")
@@ -277,6 +280,7 @@ def test_the_extended_plant_runs_and_explains_the_held_out_record(records, diagn
     assert nominal < 90.0
 
 
+@pytest.mark.slow
 def test_an_answer_without_a_cause_has_a_page_too(records, diagnosed, tmp_path, capsys):
     diagnosed(answer(finding=Finding.NOTHING, causes=(), effects={}, remainder=(), next_experiment=None, notes=()))
     assert main(["diagnose", str(records / "rbs.csv"), "--plant", "welding-robot", "--out", str(tmp_path)]) == 0
@@ -289,6 +293,7 @@ def test_an_answer_without_a_cause_has_a_page_too(records, diagnosed, tmp_path, 
     assert "larger motion would show smaller sizes" in page
 
 
+@pytest.mark.slow
 def test_what_is_empty_is_left_out_of_the_page(records, diagnosed, tmp_path):
     diagnosed(answer(finding=Finding.NAMED, causes=(cause(),), remainder=(), next_experiment=None, untestable=()))
     assert main(["diagnose", str(records / "rbs.csv"), "--plant", "welding-robot", "--out", str(tmp_path)]) == 0

@@ -18,6 +18,8 @@ from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
 from workbench.simulation import replay
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parents[3] / "shared" / "data" / "emps"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="measured data not here: expected ../shared/data/emps")
 

@@ -349,6 +349,7 @@ def test_the_limit_of_a_saturation_is_how_far_it_lies_below_the_largest_command(
     assert "saturation@u" not in hidden_effects.limits_of(ROBOT_MACHINE)
 
 
+@pytest.mark.slow
 def test_an_effect_of_three_limits_is_worth_nine_times_25_to_a_fit(monkeypatch):
     """The limit is read from signatures where nothing is hidden; here it is, and fitted at the noise levels of those records."""
     case, plant = hidden_effects.generator(), POSITIONING_AXIS
@@ -396,6 +397,7 @@ def test_a_run_that_was_cut_off_within_a_row_makes_that_row_again_and_no_other(t
     assert [r["seed"] for r in rows] == [json.loads(line)["seed"] for line in table.read_text().splitlines()] == [*range(6)]
 
 
+@pytest.mark.slow
 def test_several_processes_make_the_same_rows_as_one(tmp_path, monkeypatch):
     """Without limits no effect can be drawn: the row says so, and the way of a case through the processes is all that is run."""
     monkeypatch.setattr(hidden_effects, "limits_of", lambda machine: {})
@@ -429,6 +431,7 @@ def test_the_configuration_tells_limits_and_versions_apart(monkeypatch):
     assert configured({"m": {"offset@u": 0.1}}) != before
 
 
+@pytest.mark.slow
 def test_a_case_holds_what_was_hidden_what_was_said_and_the_limits_of_its_own_records():
     """Offset of the axis' drive, its limit 1 N: drawn, diagnosed, and judged from the row that is written."""
     case = hidden_effects.generator()
@@ -443,6 +446,7 @@ def test_a_case_holds_what_was_hidden_what_was_said_and_the_limits_of_its_own_re
     assert drawn["seconds"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_tie_of_two_frictions_of_the_robot_is_resolved_by_the_experiment_that_is_recommended():
     """Friction in one direction, twice its limit: three records cannot tell it from friction in both; more of the plan can."""
     case = hidden_effects.generator()
@@ -456,6 +460,7 @@ def test_a_tie_of_two_frictions_of_the_robot_is_resolved_by_the_experiment_that_
     assert after["delta_bic"] > before["delta_bic"]
 
 
+@pytest.mark.slow
 def test_where_no_experiment_decides_none_is_run(monkeypatch):
     """A constant force on the rail and one at the motor are the same: whatever moves the robot, it cannot tell them apart."""
     case = hidden_effects.generator()

@@ -42,6 +42,7 @@ def identified(files, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_identify_writes_the_model_its_scores_and_its_envelopes(identified, files):
     model = load_interval_model(identified / "interval.json")
     assert len(model.modes) == 2
@@ -79,6 +80,7 @@ def test_the_verdict_counts_held_out_records_only(identified):
     assert f"Envelopes of interval on held-out records: {said}" in page
 
 
+@pytest.mark.slow
 def test_coverage_of_held_out_records_is_said_first(files, tmp_path, capsys):
     main(["identify", files[0], *ROLES, "--model", "interval", "--e-y", "0.005", "--validate", files[1], "--out", str(tmp_path)])
     said = [line for line in capsys.readouterr().out.splitlines() if " envelope: " in line]
@@ -87,6 +89,7 @@ def test_coverage_of_held_out_records_is_said_first(files, tmp_path, capsys):
     assert len(said) == 4
 
 
+@pytest.mark.slow
 def test_compare_takes_interval_and_lpv_models_together(identified, files, tmp_path, capsys):
     models = [str(identified / name) for name in ("interval.json", "lti.json")]
     assert main(["compare", *models, "--records", files[2], "--out", str(tmp_path)]) == 0
@@ -96,6 +99,7 @@ def test_compare_takes_interval_and_lpv_models_together(identified, files, tmp_p
     assert main(["compare", models[0], "--records", files[2], "--out", str(tmp_path / "alone")]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "kind"),
     [
@@ -112,6 +116,7 @@ def test_every_kind_of_interval_model_can_be_asked_for(files, tmp_path, options,
     assert load_interval_model(tmp_path / f"{name}.json").semantics.name == kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "said"),
     [

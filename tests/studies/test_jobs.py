@@ -76,6 +76,7 @@ def seed_of(seed, held_out, again):
     return int(np.random.SeedSequence([seed, held_out, again]).generate_state(1)[0])
 
 
+@pytest.mark.slow
 def test_a_record_at_its_own_sample_time_is_the_plans_and_at_another_one_follows_it_in_time():
     own = measured(WINDING, "rbs", 5)
     todo = plan("web-winding", "rbs")
@@ -110,6 +111,7 @@ def test_noise_is_the_sensors_and_disturbances_keep_their_power_over_frequency()
     assert WINDING.disturbance
 
 
+@pytest.mark.slow
 def test_an_identification_is_the_model_and_its_free_run_on_records_it_never_saw():
     job = Identification(ROBOT_LOGGED, ("multisine", "steps"), {"order": 2.0}, ("lti",), ("noise",))
     (found,) = job([Point(0, 3, {"noise": 2.0})])
@@ -128,6 +130,7 @@ def test_an_identification_is_the_model_and_its_free_run_on_records_it_never_saw
     assert found["v FIT"] < found["v machine FIT"] + 1.0
 
 
+@pytest.mark.slow
 def test_an_interval_model_gives_what_its_envelope_holds_and_its_half_width():
     job = Identification(replace(ROBOT_LOGGED, experiments=("prbs",)), ("multisine",), {}, ("interval",), ("records",))
     assert job.outputs == {"v inside": "%", "v width": "m/s"}
@@ -142,6 +145,7 @@ def test_an_interval_model_gives_what_its_envelope_holds_and_its_half_width():
     assert one["v width"] == pytest.approx(np.mean(seen.high - seen.low) / 2.0)
 
 
+@pytest.mark.slow
 def test_a_designed_loop_is_the_design_on_the_model_and_the_machine_under_it():
     run = Manoeuvre(6.0, {"v": ((0.0, 0.0), (1.0, 0.3))})
     job = DesignedLoop(ROBOT_LOGGED, run, {"low": {"u": -4.0}, "high": {"u": 4.0}, "rate": {}}, {"order": 2.0}, ("peak",))
@@ -201,6 +205,7 @@ def test_an_effect_that_is_named_where_nothing_is_hidden_is_wrong(monkeypatch):
     assert [found.get(name) for name in ("found", "named", "wrong", "inside")] == [0.0, 0.0, 1.0, None]
 
 
+@pytest.mark.slow
 def test_a_large_friction_is_found_and_named_and_nothing_where_there_is_none():
     job = Detection(Recorded("welding-robot", ("prbs", "rbs")), "coulomb@rail:level", {}, ("size",))
     none, large = job([Point(0, 3, {"size": 0.0}), Point(1, 3, {"size": 0.1})])
@@ -210,6 +215,7 @@ def test_a_large_friction_is_found_and_named_and_nothing_where_there_is_none():
     assert none["limit"] > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ASKED))
 def test_a_file_asks_for_every_job_and_its_rows_are_the_jobs(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

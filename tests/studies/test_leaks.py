@@ -88,6 +88,7 @@ def identified(folder, *records, words=()):
     return main(["identify", paths[0], *roles, "--validate", *paths[1:], *words])
 
 
+@pytest.mark.slow
 def test_a_leak_is_said_before_any_score_and_no_model_is_handed_out(tmp_path, capsys):
     both = [machine(seed, 600, schedule=LEAKS["late"]) for seed in (1, 2)]
     assert identified(tmp_path, *both) == 3
@@ -104,6 +105,7 @@ def test_a_leak_is_said_before_any_score_and_no_model_is_handed_out(tmp_path, ca
     assert (tmp_path / "m" / "ssm.json").exists()
 
 
+@pytest.mark.slow
 def test_a_model_worse_than_the_mean_is_not_handed_out_and_not_scored(tmp_path, capsys):
     good, other = machine(1, 600), machine(2, 600)
     other = Experiment.from_arrays(

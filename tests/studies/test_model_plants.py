@@ -14,6 +14,8 @@ from workbench.files import write_json
 from workbench.intervals.model import SCHEMA as INTERVAL_MODEL
 from workbench.readers import read_file, write_csv
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):

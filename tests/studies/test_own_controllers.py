@@ -69,6 +69,7 @@ def runs(law, folder):
     return read_file(folder / "setpoint.csv")
 
 
+@pytest.mark.slow
 def test_both_kinds_close_the_loop_as_the_designed_law_of_the_same_gains_does(laws, tmp_path):
     designed = pid(("u",), ("v",), ("v_set",), 0.02, [[8.0]], [[12.0]])
     scenario = Scenario("s", {"v_set": np.full(100, 0.5)})
@@ -83,6 +84,7 @@ def test_both_kinds_close_the_loop_as_the_designed_law_of_the_same_gains_does(la
     assert isinstance(choose_controller(f"{laws}:LAW").law, Controller)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["LAW", "STEPS"])
 def test_a_check_searches_the_plant_and_its_counterexample_names_the_law_which_is_named_again(laws, tmp_path, capsys, name):
     (tmp_path / "limits.toml").write_text(LIMITS.format(high=0.3))
@@ -99,6 +101,7 @@ def test_a_check_searches_the_plant_and_its_counterexample_names_the_law_which_i
     assert "the same: the counterexample stands" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_sweep_runs_it_and_does_not_go_on_where_its_file_has_changed(laws, tmp_path, capsys):
     file, folder = tmp_path / "sweep.toml", tmp_path / "swept"
     file.write_text(SWEEP.format(more=""))
@@ -274,6 +277,7 @@ def test_what_could_not_be_compiled_or_told_apart_is_refused_before_a_run(tmp_pa
         choose_controller(f"{tmp_path / 'law.py'}:{name}")
 
 
+@pytest.mark.slow
 def test_an_equation_that_commands_no_number_is_told_as_such(tmp_path, capsys):
     (tmp_path / "law.py").write_text(LAWS.replace("gains[0] * e + state[0]]", "gains[0] * np.sqrt(0.01 - y[0])]"))
     law = f"{tmp_path / 'law.py'}:LAW"

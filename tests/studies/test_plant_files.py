@@ -101,6 +101,7 @@ def own(tmp_path):
     sys.modules.pop(law, None)
 
 
+@pytest.mark.slow
 def test_an_own_effect_is_simulated_found_and_kept_in_a_plant_file(own, capsys):
     """Simulated by the library, diagnosed and simulated again by the command line."""
     wheel = f"{own / 'wheel.py'}:PLANT"

@@ -51,6 +51,7 @@ def loops(parameter, values, theta):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_calmest_law_that_costs_little_is_the_one_to_take():
     said = pid_bandwidth.read(loops("peak", [1.2, 1.4, 1.6, 2.0], [3.0, 1.04, 1.0, 1.5])).verdict
     assert "least, 1, at 6.67 rad/s (|S| and |T| at most 1.6)" in said
@@ -61,6 +62,7 @@ def test_the_calmest_law_that_costs_little_is_the_one_to_take():
     assert "beyond it was not looked" in pid_bandwidth.read(loops("peak", [1.2, 1.4, 1.6], [3.0, 2.0, 1.0])).verdict
 
 
+@pytest.mark.slow
 def test_the_slowest_sampling_that_costs_little_and_what_no_law_keeps():
     said = sampling_time.read(loops("dt", [0.01, 0.02, 0.04, 0.08], [1.05, 1.0, 1.09, 2.0])).verdict
     assert "least, 1, at a sample time of 20 ms" in said
@@ -198,6 +200,7 @@ def test_a_study_goes_on_where_it_stopped_and_says_what_failed(tmp_path):
         study(doubled)(folder=tmp_path, data="records")
 
 
+@pytest.mark.slow
 def test_the_number_of_records_from_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(record_count, "QUICK", (1.0, 3.0))
     monkeypatch.setattr(record_count, "QUICK_SEEDS", 2)

@@ -240,6 +240,7 @@ def test_a_run_goes_on_where_it_stopped_and_a_crash_is_a_row(tmp_path, monkeypat
     assert "crashed: KeyError" in said(rows[0])
 
 
+@pytest.mark.slow
 @measured
 def test_a_shortened_machine_goes_through_the_command_to_a_page_with_its_free_runs(tmp_path, monkeypatch):
     """The first 1200 s of the tanks: what comes out is not judged here, that it comes out is."""

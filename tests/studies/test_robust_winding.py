@@ -17,6 +17,8 @@ from workbench.errors import InputError
 from workbench.identification.ssm import SSM
 from workbench.intervals.errors import ErrorRegression
 
+pytestmark = pytest.mark.slow
+
 
 def law(name: str, gain: float) -> ScheduledPID:
     """Decoupled loops: the speed by the second motor, the angle by the first."""

@@ -13,6 +13,8 @@ import pytest
 from studies.stages import BEGUN, MARK, Stage, run_stages
 from workbench.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 RECORD = Stage("record", ("simulate", "welding-robot", "--experiment", "rbs", "--seed", "3"))
 MODEL = Stage(
     "model",

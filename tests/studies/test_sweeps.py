@@ -66,6 +66,7 @@ def run_of(values, seed, controller):
     return seen["w3"] - np.where(t >= 1.0, 102.0, 100.0), seen["theta"], seen["V2"]
 
 
+@pytest.mark.slow
 def test_every_row_is_the_run_that_simulate_makes(asked, capsys):
     assert main(["sweep", "sweep.toml", "--out", "o"]) == 0
     said = capsys.readouterr()
@@ -96,6 +97,7 @@ class OnProcesses(ClosedLoop):
         return None
 
 
+@pytest.mark.slow
 def test_threads_and_processes_give_the_same_rows_to_the_last_bit(asked, tmp_path, monkeypatch):
     assert main(["sweep", "sweep.toml", "--out", "one", "--json", "one.json"]) == 0
     with monkeypatch.context() as patch:
@@ -109,6 +111,7 @@ def test_threads_and_processes_give_the_same_rows_to_the_last_bit(asked, tmp_pat
     )
 
 
+@pytest.mark.slow
 def test_a_design_that_tells_what_matters_makes_a_page_that_says_it(asked, capsys):
     """Dry friction moves the tension, and the web's stiffness hardly: Morris says so, in words, in JSON and in the page."""
     text = SWEEP.replace('"random"', '"morris"').replace("count = 12", "count = 6")
@@ -164,6 +167,7 @@ def test_a_start_that_is_hard_to_find_does_not_move_its_neighbours():
     assert job(points) == [job([point])[0] for point in points]
 
 
+@pytest.mark.slow
 def test_a_plant_that_has_changed_is_another_one(asked, capsys):
     mine = asked / "mine.py"
     mine.write_text("from plants import PLANTS\n\nPLANT = PLANTS['web-winding']\n", encoding="utf-8")
@@ -183,6 +187,7 @@ def text_of(controller):
         return (Path(folder) / "law.json").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_run_that_leaves_the_range_is_a_row_with_its_error(asked, capsys):
     """Gains of the wrong sign: the roll runs away, sooner or later."""
     save_controller(law("wrong way round", -3.0), asked / "pid.json")
@@ -198,6 +203,7 @@ def test_a_run_that_leaves_the_range_is_a_row_with_its_error(asked, capsys):
     assert all(None not in row for row in rows if not row[-1])
 
 
+@pytest.mark.slow
 def test_a_law_that_is_computed_step_by_step(asked):
     """The NMPC by itself, as simulate runs it."""
     own, setpoints = winding(horizon=5), {"w3": ((0.0, 100.0), (0.2, 101.0)), "theta": ((0.0, 0.0),)}
@@ -209,6 +215,7 @@ def test_a_law_that_is_computed_step_by_step(asked):
     assert found["theta max"] == pytest.approx(np.abs(seen["theta"]).max(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_what_was_begun_is_finished(asked, capsys):
     assert main(["sweep", "sweep.toml", "--out", "o"]) == 0
     assert main(["sweep", "sweep.toml", "--out", "o"]) == 2
@@ -303,6 +310,7 @@ def cluster(tmp_path):
         log.close()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Dask's own
 def test_on_a_cluster_of_which_a_worker_dies_the_rows_are_the_same(cluster, tmp_path):
     address, workers = cluster
@@ -323,6 +331,7 @@ def test_on_a_cluster_of_which_a_worker_dies_the_rows_are_the_same(cluster, tmp_
     assert read_rows(tmp_path / "cluster.sqlite").rows == read_rows(tmp_path / "here.sqlite").rows
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_scheduler_that_is_none_is_said(asked, capsys, monkeypatch):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")

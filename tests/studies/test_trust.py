@@ -25,6 +25,7 @@ def command(*words, room=None, **environment):
     )
 
 
+@pytest.mark.slow
 def test_a_disk_without_room_is_said_and_nothing_half_written_stays(tmp_path):
     assert command(*SIMULATE, "--out", str(tmp_path / "warm")).returncode == 0  # kernels are compiled now
     done = command(*SIMULATE, "--out", str(tmp_path / "o"), room=20_000)
@@ -53,6 +54,7 @@ def test_runs_of_one_second_have_folders_of_their_own(tmp_path, monkeypatch):
     assert all(folder.is_dir() for folder in folders)
 
 
+@pytest.mark.slow
 def test_two_runs_into_one_folder_leave_whole_files(tmp_path):
     """Each file is one run's or the other's."""
     out = ["--out", str(tmp_path / "o")]
@@ -66,6 +68,7 @@ def test_two_runs_into_one_folder_leave_whole_files(tmp_path):
     assert sorted(p.name for p in (tmp_path / "o").iterdir()) == ["rbs.csv", "simulate.json", "states"]
 
 
+@pytest.mark.slow
 def test_the_habits_of_a_country_do_not_change_a_number(tmp_path):
     """Decimal commas, another alphabet, another zone: the same bytes."""
     habits = {"LC_ALL": "de_DE.UTF-8", "LANG": "de_DE.UTF-8", "LANGUAGE": "de", "TZ": "Asia/Kathmandu"}

@@ -15,6 +15,8 @@ from workbench.errors import InputError
 from workbench.readers import read_file
 from workbench.report.archive import read_report
 
+pytestmark = pytest.mark.slow
+
 SEED = 11
 
 

@@ -14,6 +14,8 @@ from workbench.intervals.model import load_interval_model
 from workbench.provenance import PACKAGES
 from workbench.readers import read_file
 
+pytestmark = pytest.mark.slow
+
 EQUATION_ERROR = ("one-box", "modes", "one-box-as-measured")
 
 

@@ -9,6 +9,8 @@ from studies import STUDIES, winding_models
 from studies.winding_models import frozen_machine, true_coefficients
 from workbench.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def result(winding_study):

@@ -11,6 +11,8 @@ from workbench.lpv import load_model
 from workbench.metrics import fit, rm
 from workbench.readers import read_file
 
+pytestmark = pytest.mark.slow
+
 PRINTED = {  # [1] Tables 1.1 and 1.2, as typed from ../shared/seeds
     "FIT": {"SSM": (95, 93, 92, 90, 90), "ILM": (86, 85, 89, 83, 90), "LTI": (86, 85, 89, 83, 90)},
     "RM": {"SSM": (5, 5, 6, 8, 6), "ILM": (15, 15, 18, 17, 8), "LTI": (86, 85, 89, 83, 90)},

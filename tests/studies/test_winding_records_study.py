@@ -16,6 +16,8 @@ from workbench.errors import InputError
 from workbench.physics.identified import identified
 from workbench.simulation import replay
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).parents[3] / "shared" / "data" / "winding_daisy"
 measured = pytest.mark.skipif(not DATA.is_dir(), reason="measured data not here: expected ../shared/data/winding_daisy")
 

@@ -73,6 +73,7 @@ def test_feedback_needs_an_input_an_output_and_samples():
         feedback(record.trim(stop=3.0))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "emps").is_dir(), reason="measured data not here: expected ../shared/data/emps")
 def test_the_measured_axis_is_known_to_run_in_closed_loop():
     assert feedback(read_file(DATA / "emps" / "DATA_EMPS.mat")).detected
@@ -145,6 +146,7 @@ def test_a_loop_is_found_under_every_set_point(kind):
     assert found >= 7
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "real").is_dir(), reason="measured data not here: expected ../shared/data/real")
 @pytest.mark.parametrize(
     ("file", "u", "y"),

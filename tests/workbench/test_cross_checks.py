@@ -68,6 +68,7 @@ class Clock(Port):
         return {"now": lambda: context.t}
 
 
+@pytest.mark.slow
 def test_effects_see_the_time_of_every_stage():
     plant = Plant(
         "clock", (Channel("x", "m"),), (Channel("u", "V"),), (Channel("y", "m"),), (),

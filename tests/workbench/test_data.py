@@ -67,6 +67,7 @@ def test_roles_named_are_theirs_alone_and_others_stay():
         make().with_roles(inputs=["w3"], outputs=["w3"])
 
 
+@pytest.mark.slow
 @given(st.integers(3, 60), st.sampled_from([0.1, 0.007, 1 / 3, 1e-3]), st.data())
 def test_neighbouring_pieces_partition_a_record(count, dt, data):
     record = make(count=count, dt=dt)
@@ -88,6 +89,7 @@ def test_trim_keeps_the_stamps_and_refuses_to_leave_nothing():
         make().trim(3.0)
 
 
+@pytest.mark.slow
 @given(st.lists(st.booleans(), min_size=2, max_size=30), st.sets(st.integers(1, 29)))
 def test_segments_are_the_runs_of_the_mask_and_never_join_across_a_gap(mask, gaps):
     count = len(mask)

@@ -22,6 +22,7 @@ def slow(dt, seconds=60.0, *, time=1.0, hold=2.0, seed=1, noise=0.01):
     return Experiment.from_arrays("slow", dt, inputs={"u": u}, outputs={"y": y})
 
 
+@pytest.mark.slow
 def test_a_kilohertz_record_of_a_slow_machine_is_thinned_and_that_is_said():
     before = Dataset((slow(0.001),))
     after, said = thinned(before)
@@ -38,6 +39,7 @@ def test_records_of_a_usual_rate_stay_as_they_are(dt, hold):
     assert thinned(records) == (records, "")
 
 
+@pytest.mark.slow
 def test_the_machines_of_the_workbench_stay_as_they_are():
     from studies.experiments import EXPERIMENTS, plan
     from workbench.simulation import simulate
@@ -49,6 +51,7 @@ def test_the_machines_of_the_workbench_stay_as_they_are():
             assert thinned(Dataset((e,)))[1] == "", (name, experiment)
 
 
+@pytest.mark.slow
 def test_a_plant_is_the_measure_where_there_is_one():
     fast = Dataset((slow(ROBOT.dt / 20),))
     after, said = thinned(fast, plant=ROBOT)
@@ -60,6 +63,7 @@ def test_a_plant_is_the_measure_where_there_is_one():
     assert thinned(minutes, plant=ROBOT) == (minutes, "")
 
 
+@pytest.mark.slow
 def test_the_user_chooses():
     records = Dataset((slow(0.001),))
     assert thinned(records, 0.001) == (records, "")
@@ -68,6 +72,7 @@ def test_the_user_chooses():
         thinned(records, 0.0017)
 
 
+@pytest.mark.slow
 def test_a_thinned_record_gives_the_same_machine():
     """The pole of the discrete model is that of the slow machine, which at 1 kHz would drown in noise."""
     from workbench.identification import METHODS

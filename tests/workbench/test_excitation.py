@@ -36,6 +36,7 @@ def test_prbs_contains_the_same_words_as_scipys_sequence():
     assert words(excitation.prbs(4095)) == words(max_len_seq(12)[0] * 2.0 - 1)
 
 
+@pytest.mark.slow
 @given(st.integers(1, 9), st.integers(0, 4094), st.integers(1, 500))
 def test_prbs_hold_and_shift(hold, shift, samples):
     x = excitation.prbs(samples, hold=hold, shift=shift)

@@ -148,6 +148,7 @@ def test_a_prediction_knows_outputs_up_to_k_minus_steps_and_no_further(steps):
         np.testing.assert_allclose(predicted[k], written_out(model, e, followed)[k], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_long_records_are_cut_into_chunks_without_a_seam():
     model, e = scheduled(), record(N=9000)
     np.testing.assert_allclose(model.simulate(e)[4090:4110], written_out(model, e, 5)[4090:4110], atol=1e-10)

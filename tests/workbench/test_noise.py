@@ -42,6 +42,7 @@ def test_gaps_are_not_crossed_and_short_records_say_nothing():
     assert measurement_noise(Dataset((short,)), "y", ["u"]) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("N", [300, 1000, 3000])
 def test_the_estimate_is_from_above_on_short_records_too(N):
     """A bound that is too small would break every promise that rests on it."""

@@ -81,6 +81,7 @@ def test_options_win_over_names(tmp_path):
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(finite, finite), min_size=3, max_size=8), st.sampled_from([0.1, 1e-3, 1 / 3, 0.007]))
 def test_writing_and_reading_is_exact_bit_for_bit(tmp_path_factory, pairs, dt):
     columns = np.array(pairs)
@@ -108,6 +109,7 @@ def test_stamps_rounded_by_the_logger_do_not_bias_the_sample_time(tmp_path):
     assert read_file(put(tmp_path, text)).dt == pytest.approx(1 / 30, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_large_file_reads_fast(tmp_path):
     count = 100_000
     block = np.random.default_rng(1).standard_normal((count, 4))
@@ -256,6 +258,7 @@ def test_no_two_kinds_of_bad_file_share_a_message(tmp_path):
 # ---- MAT -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_mat_vectors_become_channels_and_a_matrix_one_channel_for_each_column(tmp_path):
     t = np.arange(5) * 0.5
     u, y = np.arange(10.0).reshape(5, 2), np.arange(5, dtype=np.int16)
@@ -300,6 +303,7 @@ def mat(folder: Path, **content) -> Path:
     return folder / "a.mat"
 
 
+@pytest.mark.slow
 def test_bad_mat_files_are_told_apart(tmp_path):
     ramp = np.arange(5.0)
     assert "no time vector; numeric variables: y" in refusal(mat(tmp_path, y=ramp)).problem

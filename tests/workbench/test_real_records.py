@@ -55,6 +55,7 @@ def arx_fit(first, second, order=3):
     return [fit(truth[order:, i], y[order:, i]) for i in range(2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheduled", [True, False])
 def test_winding_process_is_met_no_worse_than_arx_by_a_choice_on_run_one_only(scheduled):
     """All methods with their defaults: nothing is tuned to these records."""
@@ -114,6 +115,7 @@ def test_an_interval_model_of_run_one_holds_it_completely_and_most_of_run_two(ou
     assert held_out.mean_radius < 0.55 * np.ptp(second[output])
 
 
+@pytest.mark.slow
 def test_friction_of_a_robot_is_handed_out_for_what_the_plant_gains_not_for_what_its_filter_lost():
     """Axis 1 of a KUKA KR300: 2.0 N m forward, 1.5 N m backward. It is found without torques that come and go as noise; beside a
     filter that follows such torques every plant is worse one step ahead."""

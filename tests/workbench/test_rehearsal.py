@@ -71,6 +71,7 @@ def test_set_points_noise_and_schedule_are_what_they_are_said_to_be(noisy):
     assert not np.array_equal(seen.references, rehearsal(noisy, (10.0, 1.0), SIZE, 20000, 6).references)
 
 
+@pytest.mark.slow
 def test_the_calmest_that_costs_no_more_is_taken(noisy):
     seen = [rehearsal(noisy, (10.0, 1.0), SIZE, 400, seed) for seed in (1, 2)]
     candidates = {f"{gain}": law(gain) for gain in (0.0, 0.3, 1.75, 1.9, 9.0)}
@@ -81,6 +82,7 @@ def test_the_calmest_that_costs_no_more_is_taken(noisy):
     assert costs["0.3"] == pytest.approx(np.mean([own.cost(candidates["0.3"]) for own in seen]))
 
 
+@pytest.mark.slow
 def test_a_law_holds_its_set_points_on_the_model_it_was_designed_on(noisy):
     """Without noise from rest nothing moves but what the schedule moves; with noise the spread is that of linear theory."""
     one = law(u0=np.array([0.5, 0.2]))

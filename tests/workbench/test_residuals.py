@@ -36,6 +36,7 @@ def machine(seed, N=800, feedback=0.0, smooth=0.9):
     return Experiment.from_arrays("r", 0.1, inputs={"u": u}, outputs={"y": y})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("feedback", "closed"), [(0.0, False), (0.0, True), (0.8, True)], ids=["open", "past", "closed"])
 @pytest.mark.parametrize("smooth", [0.0, 0.97])
 def test_p_values_are_uniform_under_the_true_model(feedback, closed, smooth):

@@ -31,6 +31,7 @@ def ishigami(a, b, c, _seed):
 THREE = tuple(Factor(name, (), -math.pi, math.pi) for name in "abc")
 
 
+@pytest.mark.slow
 def test_sobol_indices_are_those_of_ishigami_and_homma():
     """1990: V1 = (1 + b pi^4/5)^2/2, V2 = a^2/8, V13 = b^2 pi^8 (1/18 - 1/50), all else 0."""
     V1, V2 = 0.5 * (1.0 + B * math.pi**4 / 5.0) ** 2, A**2 / 8.0
@@ -77,6 +78,7 @@ def test_missing_runs_are_told_and_not_filled_in():
     assert not sensitivity(sweep, rows_of(sweep, lambda a, b, s: 2.0))
 
 
+@pytest.mark.slow
 def test_rank_intervals_hold_the_correlation_of_the_population():
     """Normal scores: Spearman's rho of a bivariate normal is 6/pi asin(r/2)."""
     from scipy.stats import norm

@@ -28,6 +28,7 @@ def disturbances(seed=None, given=None, delay=0.0):
     return np.diff(run.states.values, axis=0) / 0.1 - [1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_disturbance_has_the_stated_deviation_and_its_inputs_are_independent():
     d = disturbances(seed=3)
     np.testing.assert_allclose(d.std(axis=0), [0.5, 0.2], rtol=0.06)
@@ -70,6 +71,7 @@ class Asked:
             setattr(self, name, getattr(law, name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("effects", [{}, {"input-delay@V1": {"time": 0.05}, "sensor-lag@theta": {"time": 0.1}}])
 def test_a_controller_asked_step_by_step_gives_the_run_of_the_compiled_one(every, effects):

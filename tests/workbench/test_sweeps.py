@@ -203,6 +203,7 @@ def test_what_makes_no_sense_any_more_ends_the_sweep(tmp_path):
         run_sweep(Sweep("areas", (A, B)), Free(MemoryError()), tmp_path / "s.sqlite")
 
 
+@pytest.mark.slow
 def test_a_run_that_ends_its_process_is_said(tmp_path):
     with pytest.raises(InputError, match="a run has ended its whole process"):
         run_sweep(Sweep("areas", (A, B)), Deadly(), tmp_path / "r.sqlite", jobs=2)
@@ -321,6 +322,7 @@ def test_two_writers_are_one_too_many(tmp_path):
     assert len(rows(path)) == 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_killed_again_and_again(tmp_path, jobs):
     """kill -9 at random moments: what is there stays, nothing is there twice, and the end is that of an undisturbed run."""

@@ -36,6 +36,7 @@ def model(records):
     return wb.LTI(order=2, feedthrough=False).fit(records)
 
 
+@pytest.mark.slow
 def test_it_says_what_the_command_says(records, model, tmp_path, capsys):
     found = wb.check(LAW, LIMITS, model=model, records=records, plant=WELDING_ROBOT, runs=60)
     for e in records:
@@ -63,6 +64,7 @@ def test_it_says_what_the_command_says(records, model, tmp_path, capsys):
     assert "tried on" in found.sentences[1]
 
 
+@pytest.mark.slow
 def test_what_failed_is_written_and_runs_again(records, model, tmp_path):
     tight = {**LIMITS, "limits": {"v": {"high": 0.1}}}
     found = wb.check(LAW, tight, model=model, records=records, plant=WELDING_ROBOT, runs=60)
@@ -115,6 +117,7 @@ def drawn(seed):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_laws_of_the_house_are_their_linear_forms():
     assert [said for said in map(without_linear_form, (LAW, scheduled())) if said] == []
     assert not [said for said in (without_linear_form(drawn(seed)) for seed in range(150)) if said]
@@ -168,6 +171,7 @@ def test_a_linear_form_that_is_not_the_law_proves_nothing(records, model, change
     assert "nothing is proved of it" in found.verdicts[0].sentence
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_with_a_true_linear_form_is_proved_and_refuted_like_one_of_the_house(records, model, tmp_path):
     asked = {**LIMITS, "limits": {"v": {"low": -0.5, "high": 0.6}}}
     own, house = (wb.check(law, asked, model=model, records=records) for law in (claims(same), LAW))
@@ -197,6 +201,7 @@ LAW = Own()
 """
 
 
+@pytest.mark.slow
 def test_a_run_of_ones_own_law_is_run_again_with_the_law_named_on_the_command_line(records, model, tmp_path, capsys):
     (tmp_path / "own.py").write_text(OWN)
     (tmp_path / "limits.toml").write_text(

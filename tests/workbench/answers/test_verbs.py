@@ -19,6 +19,8 @@ from workbench.diagnosis.calibrate import trajectories
 from workbench.errors import NotHandedOutError
 from workbench.files import sha256
 
+pytestmark = pytest.mark.slow
+
 ROLES = {"inputs": "u", "outputs": "v"}
 HIDDEN = {"coulomb@rail": {"level": 0.3}}
 OBJECTION = "the extended plant is worse on held-out records"

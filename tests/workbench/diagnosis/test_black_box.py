@@ -57,6 +57,7 @@ HIDDEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", HIDDEN)
 def test_what_is_hidden_in_a_black_box_is_named_with_its_size(key):
     hidden, name, truth = HIDDEN[key]
@@ -69,6 +70,7 @@ def test_what_is_hidden_in_a_black_box_is_named_with_its_size(key):
     assert max(gains["one-step"], gains["full-run"]) < 0.8
 
 
+@pytest.mark.slow
 def test_an_offset_of_a_linear_box_ties_with_what_shifts_its_output_as_well():
     found = diagnose(PLANT, records(23, acting=shifted))
     assert len(found.causes) == 1
@@ -83,12 +85,14 @@ def rippled(y):
     return y + 0.04 * np.cos(angle + 0.4)[:, None]
 
 
+@pytest.mark.slow
 def test_what_goes_with_the_angle_of_a_logged_speed_is_left_over_that_angle():
     found = diagnose(PLANT, records(26, reading=rippled))
     assert found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE)
     assert found.remainder[0].variable == "angle of w"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(31, 34))
 def test_nothing_is_named_where_nothing_is_hidden(seed):
     found = diagnose(PLANT, records(seed))

@@ -14,6 +14,8 @@ from workbench.diagnosis.gains import HORIZONS, SETTLING, errors
 from workbench.errors import InputError
 from workbench.simulation import simulate
 
+pytestmark = pytest.mark.slow
+
 ROBOT = PLANTS["welding-robot"]
 TRUE = {"m1": 1.1, "b1": 0.35, "c": 3.6, "m2": 2.0, "b2": 0.45}
 

@@ -52,6 +52,7 @@ def refused(plant, *records):
 # ---- what passes ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
 def test_records_of_the_plant_pass_without_a_word(plant):
     names = {"web-winding": ("rbs", "rgs"), "welding-robot": ("prbs", "steps"), "positioning-axis": ("prbs", "steps")}[plant.name]
@@ -69,6 +70,7 @@ def test_dry_friction_of_ten_times_the_usual_size_is_no_reason_to_refuse():
     check(AXIS, Dataset((drawn(AXIS, "prbs", effects={"coulomb@slide": {"level": 45.0}}),)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("records", "plant", "effect", "size"),
     [
@@ -103,6 +105,7 @@ def test_no_strong_effect_of_the_winding_machine_is_refused(effect, size):
     assert (effect == "coulomb@unwind") == any("V1: looks cut off" in str(note) for note in notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, 120, 40))
 def test_a_pump_of_another_gain_is_not_taken_for_the_other_one(first):
     """Two pumps that move together, as under feedback, one of them at half or twice its gain, and one level that is measured."""
@@ -154,6 +157,7 @@ def test_a_dead_channel_beside_live_ones_is_a_note(winding):
 # ---- units ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("channel", "factor", "unit"),
     [
@@ -189,6 +193,7 @@ def test_an_axis_in_millimetres_and_an_arm_in_degrees():
     assert (reason.channel, reason.problem) == ("arm", "looks like deg, expected rad")
 
 
+@pytest.mark.slow
 def test_with_one_input_and_one_output_both_may_be_in_another_unit():
     """The encoder of this axis states no noise: force and position are as likely to be wrong, and the mend names both."""
     for effects in ({}, {"coulomb@slide": {"level": 20.0}}):
@@ -199,6 +204,7 @@ def test_with_one_input_and_one_output_both_may_be_in_another_unit():
         assert reason.mend.endswith("these records do not tell which")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [{}, {"coulomb@rail": {"level": 0.2}, "arm-gravity@rail": {"sine": 0.3}}])
 def test_noise_tells_a_reading_in_another_unit_from_a_command_in_another(effects):
     """1000 v under u is v under u/1000, but for the noise of v."""
@@ -214,12 +220,14 @@ def test_noise_tells_a_reading_in_another_unit_from_a_command_in_another(effects
     assert "u looks like kN, expected N, or v looks like mm/s" in refused(silent, scaled(e, "v", 1000.0)).problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["V1", "V2", "w1", "w2", "w3", "theta", "r2"])
 def test_a_reversed_sign_is_said_as_such(winding, channel):
     reason = refused(WINDING, scaled(winding, channel, -1.0))
     assert (reason.channel, reason.problem, reason.mend) == (channel, "looks reversed in sign", f"multiply {channel} by -1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "input_", "output"), [(ROBOT, "u", "v"), (AXIS, "F", "q")], ids=["robot", "axis"])
 def test_with_one_input_and_one_output_either_sign_may_be_reversed(plant, input_, output):
     e = drawn(plant, "prbs")
@@ -229,6 +237,7 @@ def test_with_one_input_and_one_output_either_sign_may_be_reversed(plant, input_
         assert f"multiply {input_} by -1, or multiply {output} by -1" in reason.mend
 
 
+@pytest.mark.slow
 def test_a_voltage_a_thousand_times_too_large_or_small_is_never_taken_for_another(winding):
     for factor, unit in ((1000.0, "mV"), (0.001, "kV")):
         reason = refused(WINDING, scaled(winding, "V2", factor))
@@ -244,6 +253,7 @@ def test_a_factor_of_no_known_unit_is_noted_with_both_readings(winding, factor, 
     assert f"or else bring w3 to rad/s (another size of unit, times {1 / factor:g} or so)" in note.sentence
 
 
+@pytest.mark.slow
 def test_several_outputs_in_another_unit_are_all_named(winding):
     rpm = winding
     for name in ("w1", "w2", "w3"):
@@ -262,6 +272,7 @@ def test_an_arm_in_thousandths_of_a_radian_is_not_taken_for_degrees():
 # ---- channels in wrong places, other machines ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("a", "b"), [("V1", "V2"), ("w1", "w2"), ("w2", "w3"), ("w3", "theta")])
 def test_channels_that_have_changed_places_are_named(winding, a, b):
     reason = refused(WINDING, exchanged(winding, a, b))
@@ -269,6 +280,7 @@ def test_channels_that_have_changed_places_are_named(winding, a, b):
     assert reason.mend == f"swap {a} and {b}"
 
 
+@pytest.mark.slow
 def test_an_input_that_holds_an_output_is_refused(winding):
     assert "leaves its range at once" in refused(WINDING, exchanged(winding, "V2", "w3")).problem
 
@@ -347,6 +359,7 @@ def test_a_sample_time_near_none_of_these_is_taken_as_it_is(times):
     assert AXIS.sampled(times * AXIS.dt).dt == times * AXIS.dt
 
 
+@pytest.mark.slow
 def test_a_slow_or_fast_logger_is_no_other_unit_of_time():
     e = drawn(ROBOT, "prbs")
     for every in (e.dt / 10, 5 * e.dt):

@@ -81,6 +81,7 @@ def test_parameters_that_only_the_record_left_out_would_tell_do_not_hide_an_effe
     assert left_out(base, refitted(base, "sensor-lag@q", [0.01])).holds
 
 
+@pytest.mark.slow
 def test_a_true_effect_holds_on_what_was_left_out_and_one_that_is_not_there_does_not():
     data = axis_records(2, {OFFSET: {"level": 5.0}}, records=3)
     assert left_out(linear(data), linear(data, OFFSET)).holds
@@ -119,6 +120,7 @@ def wobble(seed, amplitudes):
     return base, refitted(base, "imbalance@slide", [6.0, 2.0], rounds=12)
 
 
+@pytest.mark.slow
 def test_a_phase_is_found_on_the_record_that_was_left_out_whichever_it_is():
     for seed in (4, 5, 6):
         found = left_out(*wobble(seed, (8.0, 8.0, 8.0)))
@@ -126,6 +128,7 @@ def test_a_phase_is_found_on_the_record_that_was_left_out_whichever_it_is():
         assert np.all(found.by_fold > 0.0)  # the first record's zero is that of all rotations
 
 
+@pytest.mark.slow
 def test_the_amplitude_of_a_periodic_effect_is_tested_for_stability_and_its_phase_is_not():
     assert min(stability(wobble(seed, (8.0, 8.0, 8.0))[1], "imbalance@slide") for seed in (4, 5, 6)) > 1e-3
     assert stability(wobble(4, (16.0, 3.0, 3.0))[1], "imbalance@slide") < 1e-3
@@ -136,6 +139,7 @@ def sizes_differ(seed, levels) -> float:
     return stability(linear(data, OFFSET), OFFSET)
 
 
+@pytest.mark.slow
 def test_a_size_that_differs_between_records_is_unstable_and_one_that_does_not_is_stable():
     assert sizes_differ(5, (10.0, -10.0)) < 1e-4
     assert sizes_differ(5, (14.0, 6.0, 2.0)) < 1e-4
@@ -179,6 +183,7 @@ def test_a_size_at_its_bound_of_0_can_be_left_out_too():
     assert not left_out(base, none).holds
 
 
+@pytest.mark.slow
 def test_a_record_of_a_second_has_a_standard_error_too():
     held = []
     for seed in range(12):
@@ -252,6 +257,7 @@ def foreseen(model: Model, left: np.ndarray) -> float:
     return deviance(every) - deviance(~left) - 2.0 * float(np.log(W[left]).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("records", [1, 3])
 def test_of_two_outputs_every_sample_of_a_fold_is_left_out_and_no_other(records):
     base, extended = (two_outputs(5, records, key, level=0.2) for key in (None, OFFSET))
@@ -289,6 +295,7 @@ def test_a_size_that_only_the_second_output_shows_to_change_within_a_record_is_u
 # ---- parts that the fit leaves out ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_a_fit_finds_without_a_part_is_what_it_finds_on_the_others():
     """By the step from the fit to all, and by a fit to records of which that part is cut off."""
     data = axis_records(12, parameters={"M": 100.0, "Fv": 180.0}, records=4, samples=400)
@@ -308,6 +315,7 @@ def test_what_a_fit_finds_without_a_part_is_what_it_finds_on_the_others():
     assert np.linalg.norm(off) < 0.2 * np.linalg.norm(moved)
 
 
+@pytest.mark.slow
 def test_parts_cover_every_record_once():
     for records in (1, 2, 3, 5):
         model = fitted(axis_records(13, records=records, samples=240))
@@ -317,6 +325,7 @@ def test_parts_cover_every_record_once():
         assert all((c == 1).all() for c in covered)
 
 
+@pytest.mark.slow
 def test_errors_on_parts_that_were_left_out_are_those_of_other_parameters_and_larger():
     """On average: what a fit has seen it errs less on than what it has not."""
     seen, unseen = [], []

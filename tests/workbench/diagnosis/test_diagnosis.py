@@ -52,12 +52,14 @@ def check(found, key: str, name: str, size: float):
     assert all(g.after < g.before for g in one_step)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "name", "size"), AXIS_CASES)
 def test_what_the_axis_lacks_is_named_with_its_size_and_its_gain_on_other_records(key, name, size):
     made = [axis_records(seed, {key: {name: size}}, parameters={"M": 100.0, "Fv": 180.0}) for seed in (3, 4)]
     check(diagnose(AXIS, *made), key, name, size)
 
 
+@pytest.mark.slow
 def test_a_small_dry_friction_is_not_taken_for_a_law_that_includes_it():
     """The screen lets in the friction that differs by direction, and not quite the plain one; a fit tries both."""
     records = Recorded("welding-robot", ("prbs", "rbs")).records(
@@ -83,6 +85,7 @@ def test_a_shortlist_is_joined_by_special_cases_with_the_significance_that_bring
     assert diagnosis._with_family(WEB_WINDING, here, there) == here
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("backward", "named"), [(30.0, "coulomb"), (34.0, "asymmetric-friction")])
 def test_a_law_with_one_number_more_is_no_rival_unless_the_records_ask_for_that_number(backward, named):
     """The same in both directions is dry friction; a friction that differs a little includes it and is another cause."""
@@ -103,11 +106,13 @@ def forward(seed, effects, *, stops: float) -> Dataset:
     return Dataset(tuple(made))
 
 
+@pytest.mark.slow
 def test_a_direction_in_which_nothing_moved_keeps_the_law_that_tells_it_apart_as_a_rival():
     (cause,) = diagnose(ROBOT, forward(4, {"asymmetric-friction@rail": {"forward": 0.6, "backward": 0.2}}, stops=0.4)).causes
     assert {"coulomb@rail", "asymmetric-friction@rail"} <= {cause.key, *cause.ties}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_numbers_that_nothing_excited_are_no_evidence_against_the_law_that_has_them(seed):
     """Always forward a friction, whatever it is at rest or backwards, is a force less: not a hair tells the three apart."""
@@ -115,6 +120,7 @@ def test_numbers_that_nothing_excited_are_no_evidence_against_the_law_that_has_t
     assert {cause.key, *cause.ties} >= {"offset@u", "coulomb@rail", "asymmetric-friction@rail"}
 
 
+@pytest.mark.slow
 def test_a_cause_that_holds_everywhere_is_named_beside_one_that_holds_in_a_single_record():
     everywhere = {"offset@F": {"level": 20.0}}
     each = [everywhere, everywhere, everywhere | {"coulomb@slide": {"level": 40.0}}]
@@ -126,6 +132,7 @@ def test_a_cause_that_holds_everywhere_is_named_beside_one_that_holds_in_a_singl
     assert any("axis 2 only" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_rounded_channel_does_not_hide_that_one_record_is_odd():
     made = axis_records(3, [{}, {}, {"coulomb@slide": {"level": 120.0}}], parameters={"M": 100.0, "Fv": 180.0})
     rounded = [replace(e, values=np.column_stack([e["F"], 1e-3 * np.round(e["q"] / 1e-3)])) for e in made]
@@ -134,6 +141,7 @@ def test_a_rounded_channel_does_not_hide_that_one_record_is_odd():
     assert [c.effect for c in found.causes] == ["quantisation"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4])
 def test_of_friction_and_a_tilt_each_is_found_and_the_tilt_ties_with_the_offset_that_it_cannot_be_told_from(seed, monkeypatch):
     """Friction that differs by direction comes first, for it is both in one, and must give way."""
@@ -147,6 +155,7 @@ def test_of_friction_and_a_tilt_each_is_found_and_the_tilt_ties_with_the_offset_
     assert {"rail-tilt@rail", "offset@u"} <= {other.key, *other.ties}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "size"), [("coulomb@slide", {"level": 30.0}), ("sensor-lag@q", {"time": 0.03})])
 def test_what_one_record_shows_and_another_does_not_is_no_cause_but_it_is_said(key, size):
     made = [axis_records(seed, effects, parameters={"M": 100.0, "Fv": 180.0}) for seed, effects in ((3, {}), (9, {key: size}))]
@@ -157,6 +166,7 @@ def test_what_one_record_shows_and_another_does_not_is_no_cause_but_it_is_said(k
     assert any("tuesday" in note and "monday" not in note for note in found.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ROBOT_CASES)
 def test_what_the_robot_lacks_is_named_with_its_size_and_its_gain_on_other_records(key):
     name, size = ROBOT_CASES[key]
@@ -164,6 +174,7 @@ def test_what_the_robot_lacks_is_named_with_its_size_and_its_gain_on_other_recor
     check(diagnose(ROBOT, robot_records(3, effects), robot_records(4, effects)), key, name, size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 5, 7])
 def test_a_dead_time_of_one_sample_is_named_alone(seed):
     """What was commanded before the record began is still under way at its first sample and must not be explained."""
@@ -171,12 +182,14 @@ def test_a_dead_time_of_one_sample_is_named_alone(seed):
     check(diagnose(ROBOT, robot_records(seed, effects), robot_records(seed + 1, effects)), "input-delay@u", "time", 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "period"), [(3, 4.0), (5, 4.0), (5, 9.0)])
 def test_a_mass_that_swings_is_named_whatever_its_period(seed, period):
     effects = {"platform-mass@rail": {"swing": 0.3, "period": period}}
     check(diagnose(ROBOT, robot_records(seed, effects), robot_records(seed + 1, effects)), "platform-mass@rail", "period", period)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [5.7, 7.34, 14.3])
 def test_a_small_swing_is_named_though_its_period_is_no_round_number(period):
     """Half a minute tells periods apart that are nearer to each other than those of a coarse list."""
@@ -187,6 +200,7 @@ def test_a_small_swing_is_named_though_its_period_is_no_round_number(period):
     assert cause.parameters["period"].value == pytest.approx(period, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_cause_that_held_out_records_do_not_confirm_is_not_named():
     """The machine was mended before the held-out records: whatever the others show, it is not there."""
     friction = {"coulomb@slide": {"level": 60.0}}
@@ -205,6 +219,7 @@ def test_a_cause_that_held_out_records_do_not_confirm_is_not_named():
     )  # without held-out records nothing speaks against it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "finding"), [(0.05, Finding.INCOMPLETE), (0.5, Finding.NAMED)])
 def test_a_cause_is_not_sure_where_parameters_have_left_their_data_sheet(tolerance, finding):
     """A mass 40 % above a data sheet that leaves 5 % open: either that is wrong or something else is missing."""
@@ -383,6 +398,7 @@ def test_a_share_of_the_gain_is_a_tie_between_forms_of_one_friction_only():
     assert tie(ROBOT, "coulomb@rail", "asymmetric-friction@rail", 1000.0) == diagnosis.TIE  # the one is a case of the other
 
 
+@pytest.mark.slow
 def test_a_periodic_effect_is_named_with_its_amplitude_and_order():
     each = [{"torque-ripple@slide": {"cosine": 10.0 * np.cos(a), "sine": 10.0 * np.sin(a), "order": 5.0}} for a in (0.0, 2.0)]
     (cause,) = diagnose(AXIS, axis_records(3, each, force=25.0)).causes
@@ -391,6 +407,7 @@ def test_a_periodic_effect_is_named_with_its_amplitude_and_order():
     assert cause.parameters["order"].value == 5.0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_told_apart_is_said_to_tie():
     (cause,) = diagnose(ROBOT, robot_records(3, {"rail-tilt@rail": {"level": 0.3}})).causes
     assert {cause.key, *cause.ties} >= {"rail-tilt@rail", "offset@u"}
@@ -417,6 +434,7 @@ def test_a_static_error_of_a_sensor_is_said_to_be_that_of_its_equation_where_the
     assert "equation" not in said["sensor-lag"] + said["backlash"]
 
 
+@pytest.mark.slow
 def test_of_two_effects_both_have_their_size():
     """Beside a command that is clipped and not yet named, a late sensor looks like a late command and some play."""
     effects = {"saturation@F": {"limit": 350.0}, "sensor-lag@q": {"time": 0.03}}
@@ -432,6 +450,7 @@ def test_of_two_effects_both_have_their_size():
         assert cause.ties == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_nothing_is_named_where_nothing_is_missing_but_parameters_are_off(seed):
     spread = np.random.default_rng(seed).uniform(0.85, 1.15, 2)
@@ -448,12 +467,14 @@ def test_nothing_is_named_where_nothing_is_missing_but_parameters_are_off(seed):
     assert 0.0 < limits["coulomb"] < (30.0 if plant is AXIS else 0.3)  # and it says what would have been seen
 
 
+@pytest.mark.slow
 def test_an_effect_that_nothing_excites_is_said_to_be_untestable():
     moved, still = (diagnose(ROBOT, robot_records(1, samples=300, swing=swing)) for swing in (1.2, 0.0))
     assert "arm-reaction" in {u.effect for u in still.untestable} - {u.effect for u in moved.untestable}
     assert "arm-reaction" in {d.effect for d in moved.limits} - {d.effect for d in still.limits}
 
 
+@pytest.mark.slow
 def test_the_winder_names_a_dry_friction_on_its_unwinder():
     effects = {"coulomb@unwind": {"level": 0.004}}
     plan = EXPERIMENTS["web-winding"]["staircase"]

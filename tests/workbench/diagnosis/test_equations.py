@@ -75,6 +75,7 @@ def test_a_rate_without_parameters_says_what_its_state_means():
     assert written_out.laws == ("h",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [10, 20, 30])
 def test_a_drain_that_fouls_is_never_surely_an_error_of_a_sensor(first):
     said = found(first, 150.0, fouled=0.25)
@@ -83,6 +84,7 @@ def test_a_drain_that_fouls_is_never_surely_an_error_of_a_sensor(first):
         assert all("own equation of h" in c.doubt for c in said.causes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "fouled", "tolerances"), [(400, 0.6, OPEN), (300, 0.6, OPEN), (500, 0.4, OPEN), (1200, 0.25, {"k": 0.1})]
 )
@@ -92,6 +94,7 @@ def test_what_a_law_would_explain_if_it_were_fitted_is_not_surely_anything_else(
     assert not [c.key for c in said.causes if not c.doubt]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [10, 20, 30])
 def test_a_bent_reading_is_sure_where_the_machine_moves_fast_enough_to_tell(first):
     said = found(first, 10.0, bent=0.06)
@@ -159,6 +162,7 @@ def test_what_a_law_would_do_to_the_errors_is_what_the_plant_with_it_does(state)
         assert np.linalg.norm(change - linear) < 0.25 * np.linalg.norm(linear)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "gap", "finding", "said"),
     [

@@ -95,6 +95,7 @@ def test_the_expected_gain_is_what_the_rival_loses_at_least_on_old_and_new_recor
     assert left @ left > 5.0
 
 
+@pytest.mark.slow
 def test_the_expected_gain_is_reached_by_runs_that_are_made():
     data, true, rival = rivals()
     level = float(true.fit.point.eta[0, true.terms[0].sizes[0]])
@@ -185,6 +186,7 @@ def test_a_further_run_does_not_know_a_phase_and_tells_no_models_apart_that_diff
     assert foreseen(true, turned, run).gain(1) < 0.1
 
 
+@pytest.mark.slow
 def test_the_shortest_time_that_is_sure_to_decide_is_chosen():
     """Of one long record, several short ones at rest or in slow motion."""
     _, true, rival = rivals(0.7)

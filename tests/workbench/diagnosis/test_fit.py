@@ -57,6 +57,7 @@ def test_gauss_newton_ends_where_scipy_does(key, guess):
     assert np.all(np.abs(fit.z - theirs.x) < 0.03 * sd + step)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_the_spread_of_the_estimate_over_truths_drawn_from_the_prior():
     n, distances, shifts = 50, [], []
     random = np.random.default_rng(5)
@@ -94,6 +95,7 @@ def test_records_share_an_amplitude_and_each_has_its_own_rotation():
     np.testing.assert_allclose(np.hypot(*eta.T), np.hypot(cosine, sine), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_friction_that_would_have_to_drive_the_slide_stays_at_its_bound_with_the_gradient_outwards():
     at_bound = 0
     for seed in range(8):
@@ -171,6 +173,7 @@ def test_the_jacobian_is_the_slope_of_the_errors_also_at_a_bound():
         np.testing.assert_array_equal(kept[i][:, fixed:], J[i][:, fixed:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_jacobian_of_a_start_is_the_slope_of_the_errors_where_a_machine_with_play_begins_at_rest(seed):
     """The filter's linearization along what it corrected has other slopes: a fit by it ends where nothing is stationary."""
@@ -192,6 +195,7 @@ def test_the_jacobian_of_a_start_is_the_slope_of_the_errors_where_a_machine_with
             assert np.linalg.norm(J[i][:, c] - slope) < 0.3 * np.linalg.norm(slope)  # to one side, across kinks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_what_only_counts_as_ratios_is_known_no_better_than_the_data_sheet_knows_their_common_scale(seed):
     """m v' = K i - b v - friction: times any number it is the same machine, and free runs, however exact, cannot know it."""

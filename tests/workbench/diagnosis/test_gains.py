@@ -15,6 +15,8 @@ from workbench.diagnosis.recalibrate import unknowns
 from workbench.diagnosis.refit import Model
 from workbench.simulation import simulate
 
+pytestmark = pytest.mark.slow
+
 AMPLITUDE = 3e-5
 PHASES = (2.0, 4.5)
 

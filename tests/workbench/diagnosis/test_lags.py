@@ -8,6 +8,8 @@ from tests.workbench.diagnosis.drive import DRIVE, DT, KT, RA, RPM, C, J, record
 from workbench.diagnosis.answer import Diagnosis, Finding
 from workbench.diagnosis.diagnosis import diagnose
 
+pytestmark = pytest.mark.slow
+
 
 def lag_of(found: Diagnosis):
     """The one cause, which is the tacho's or the sensor's lag."""

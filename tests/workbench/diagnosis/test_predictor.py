@@ -107,6 +107,7 @@ def errors_at_truth(seed, levels=None):
     return made.errors(0, AXIS.nominal[None], made.point.eta, np.zeros((1, 2)))[0, :, 0]
 
 
+@pytest.mark.slow
 def test_whitened_errors_are_white_with_unit_variance_when_the_noise_is_what_was_simulated():
     e = np.concatenate([errors_at_truth(seed) for seed in range(8)])
     N = len(e)

@@ -29,6 +29,7 @@ def test_where_the_errors_are_linear_a_profile_is_the_parabola_of_the_covariance
     assert high - low == pytest.approx(2.0 * np.sqrt(LIKELY) * sd, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_date_of_a_jump_is_found_between_the_dates_that_are_screened():
     hits = 0
     for seed, time in ((3, 4.3), (5, 6.1), (7, 3.7), (9, 5.4)):
@@ -43,6 +44,7 @@ def test_the_date_of_a_jump_is_found_between_the_dates_that_are_screened():
     assert hits >= 3
 
 
+@pytest.mark.slow
 def test_rounding_is_named_and_not_the_play_that_it_looks_like():
     records = robot_records(11, {"quantisation@v": {"step": 0.02}})
     found = diagnose(ROBOT, records)

@@ -94,6 +94,7 @@ def test_an_input_that_moves_two_states_is_pushed_as_one_and_the_filter_carries_
     np.testing.assert_allclose(errors, e, rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 10])
 def test_a_voltage_that_comes_and_goes_is_no_missing_physics_of_two_states(seed):
     """Pushes of the two states by themselves stand for it badly, and under feedback the input shows it: UNKNOWN three times of

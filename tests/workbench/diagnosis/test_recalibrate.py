@@ -22,6 +22,7 @@ def inside(plant, records, seeds) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "records", "seeds"), [(AXIS, axis_records, 25), (ROBOT, robot_records, 15)])
 def test_true_parameters_lie_in_their_intervals_nineteen_times_out_of_twenty(plant, records, seeds):
     hits = inside(plant, records, seeds)

@@ -39,6 +39,7 @@ def test_a_share_is_that_of_the_pooled_root_mean_square():
     assert change.sure
 
 
+@pytest.mark.slow
 def test_errors_that_differ_by_chance_are_not_told_apart_however_long_they_last():
     """Of pairs of independent noise of the same size one in twenty may look different; white blocks would find most."""
     for memory in (1.0, 100.0):
@@ -168,6 +169,7 @@ def test_what_is_found_without_coloured_torques_is_judged_a_second_ahead():
     assert "held-out" in _objection(step(60.0), True, 0.0, Told(replace(ahead, sure=False), surprise=-50.0), True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_calibration_is_better_than_the_plant_that_it_replaces_or_says_that_it_is_not(seed):
     """A tacho that lags, which the plant does not know: one step ahead a wrong inertia makes up for it, over the full run not.

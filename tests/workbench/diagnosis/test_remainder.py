@@ -12,6 +12,8 @@ from workbench.diagnosis.diagnosis import ALPHA
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import BUMPS, Left, label, remainder
 
+pytestmark = pytest.mark.slow
+
 
 def driven(seed):
     """Random steps of the force, with a spring that holds the slide near 0: one more loop around the machine."""

@@ -57,6 +57,7 @@ def test_the_frequency_that_was_put_in_is_found_within_what_the_record_resolves(
     assert abs(found.values[np.argmax(found.statistics)] - frequency) < 0.5 / t[-1]
 
 
+@pytest.mark.slow
 def test_statistics_of_records_in_which_nothing_is_periodic_have_the_size_of_chance():
     models = [fitted(axis_records(4 + seed, samples=600, force=25.0)) for seed in range(4)]
     # of two records: chi squared with four degrees of freedom, so a mean of four

@@ -19,6 +19,8 @@ from workbench.diagnosis.recalibrate import unknowns
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.screen import WANTED, Signature, Variant, scores, signatures, similarity, small_sizes, variants
 
+pytestmark = pytest.mark.slow
+
 
 def slots(key: str) -> tuple[int, ...]:
     return tuple(i for i, s in enumerate(AXIS.slots) if s.key == key and not s.parameter.shape)

@@ -10,6 +10,8 @@ from workbench.diagnosis.answer import Diagnosis, Estimate, Finding
 from workbench.diagnosis.calibrate import calibrate
 from workbench.diagnosis.stages import stages
 
+pytestmark = pytest.mark.slow
+
 TRUE = {"m1": 1.1}
 HIDDEN = {"coulomb@rail": {"level": 0.3, "width": 0.02}}
 

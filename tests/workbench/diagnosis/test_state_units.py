@@ -15,6 +15,8 @@ from workbench.diagnosis.recalibrate import recalibrated
 from workbench.diagnosis.refit import Model, settled
 from workbench.physics.plant import Plant
 
+pytestmark = pytest.mark.slow
+
 INNER = [("cylinder", "pL"), ("ball-in-tube", "air"), ("propeller-arm", "w"), ("two-mass", "twist"), ("heater", "T")]
 
 

@@ -17,6 +17,8 @@ from workbench.diagnosis.refit import Model, from_special, refit, settled
 from workbench.diagnosis.remainder import BUMPS, _scores, remainder, trajectory
 from workbench.diagnosis.screen import Signature, Variant, scores, small_sizes
 
+pytestmark = pytest.mark.slow
+
 
 def refitted(model: Model, key: str) -> Model:
     """The model with one more effect as the diagnosis finds it: from its score, without a guess."""

@@ -30,6 +30,7 @@ def deviance_at(made, levels):
     return sum(np.sum(e**2) for e in made.at(made.point)) + sum(w.log_det for w in made.passes)
 
 
+@pytest.mark.slow
 def test_levels_are_found_within_their_statistical_error():
     found = []
     for seed in range(12):
@@ -58,6 +59,7 @@ def test_from_wherever_it_starts_it_ends_where_the_likelihood_has_its_maximum(pu
     assert cost(np.log([found.process[0], found.measurement[0]])) < best + 0.5  # what is expected pulls a little
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("level", "memory"), [(0.01, 0.3), (1e-6, 0.1), (0.2, 3.0)])
 def test_a_push_that_lasts_is_told_from_a_white_one(level, memory):
     found = []
@@ -74,6 +76,7 @@ def test_a_push_that_lasts_is_told_from_a_white_one(level, memory):
     assert deviance_at(made, noise()) > deviance_at(made, levels) + 100.0  # a white push does not explain it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loud", [2.0, 6.0])
 def test_noise_of_a_sensor_that_lasts_is_told_from_white_noise_and_from_a_push(loud):
     found, a = [], np.exp(-AXIS.dt / 0.15)

@@ -16,6 +16,8 @@ from workbench.identification.subspace import PBSID
 from workbench.lpv import load_model
 from workbench.metrics import score
 
+pytestmark = pytest.mark.slow
+
 #: Two local systems, (A, B, C): a slow one at rho = 1 and a quick, stronger one at rho = 3.
 SLOW = (np.array([[0.95, 0.1], [0.0, 0.7]]), np.array([[0.0, 0.1], [0.2, 0.0]]), np.array([[1.0, 0.0]]))
 QUICK = (np.array([[0.6, 0.2], [-0.2, 0.6]]), np.array([[0.5, -0.5], [1.0, 0.0]]), np.array([[2.0, 0.5]]))

@@ -64,6 +64,7 @@ def test_residuals_pass_on_a_held_out_record(model):
     assert residual_test(model, run(13, N=2000)).passed
 
 
+@pytest.mark.slow
 def test_the_spreads_are_those_of_repeated_experiments():
     """Standard deviation over 30 fresh experiments against what each of them reports."""
     found = [LTI(order=2, resamples=30).fit(Dataset((run(s, N=800),))).estimates for s in range(30)]
@@ -82,6 +83,7 @@ def test_an_unstable_model_says_so_in_plain_words():
     assert not model.stability().stable
 
 
+@pytest.mark.slow
 def test_n4sid_is_warned_about_in_closed_loop_only():
     closed, opened = Dataset((run(1, feedback=0.4, N=8000),)), Dataset((run(1, N=8000),))
     with_n4sid = LTI(order=2, method=N4SID(), resamples=0)

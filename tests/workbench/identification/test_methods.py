@@ -12,6 +12,8 @@ from workbench.errors import InputError
 from workbench.identification import METHODS
 from workbench.lpv import LPVModel, load_model
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def records():

@@ -60,6 +60,7 @@ def test_records_that_cannot_decide_are_refused():
         choose({"lti": LTI(order=8)}, Dataset((e,)))
 
 
+@pytest.mark.slow
 def test_a_one_way_schedule_is_judged_inside_its_range():
     """On the winding machine's growing reel the scheduled models win, as they do on records of their own."""
     todo = plan("web-winding", "prbs1")

@@ -93,6 +93,7 @@ def test_steps_zero_and_two_agree_with_cvxpy_and_linprog(bound):
             assert answer.value == pytest.approx(free.fun, rel=1e-8)
 
 
+@pytest.mark.slow
 @BOTH
 @settings(max_examples=15)
 @given(st.integers(0, 10**6), st.floats(1.01, 3.0))

@@ -144,6 +144,7 @@ def test_a_sparse_system_is_recovered_from_bounded_noise(bound):
     assert fit_of(fresh["y0"][3:], model.simulate(fresh)[3:, 0]) > 97
 
 
+@pytest.mark.slow
 @BOTH
 @settings(max_examples=10)
 @given(seed=st.integers(0, 10**6), slack=st.floats(1.0, 1.5))
@@ -157,6 +158,7 @@ def test_the_truth_is_inside_every_interval_when_the_noise_keeps_its_bound(bound
         assert estimate.low <= THIRD_ORDER.get(name, 0.0) <= estimate.high
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_the_spread_over_repetitions():
     def step(k, y, u, p):
         return (0.9 - 0.6 * p[k - 1]) * y[k - 1] + (2.0 - p[k - 1]) * u[k - 1]
@@ -295,6 +297,7 @@ def test_bad_input_is_refused_with_its_place_and_mend():
             SSM(**options).fit(records)
 
 
+@pytest.mark.slow
 @BOTH
 def test_intervals_hold_the_truth_when_nobody_knows_the_noise(bound):
     """mu from the residuals alone: over 40 records 95 % of the intervals hold the true coefficient, right basis and order."""

@@ -82,6 +82,7 @@ def test_offsets_end_up_in_the_operating_point_and_nowhere_else(method):
     )
 
 
+@pytest.mark.slow
 @METHODS
 def test_open_loop_records_with_noise_half_the_signal(method):
     fits = [agreement(dataclasses.replace(method, order=4).fit(Dataset((run(2250, s, noise(OPEN)),)))) for s in range(5)]
@@ -100,6 +101,7 @@ def test_pbsid_stands_in_closed_loop_where_n4sid_falls():
     assert np.median([agreement(N4SID(order=4).fit(d)) for d in records]) < 50
 
 
+@pytest.mark.slow
 def test_more_data_removes_pbsids_error_and_not_n4sids():
     """Consistency: with 16 times the samples PBSID's error falls by about 4; N4SID's bias stays."""
     e = noise(LOOP, hold=6)
@@ -116,6 +118,7 @@ def test_more_data_removes_pbsids_error_and_not_n4sids():
     assert many > 0.6 * few
 
 
+@pytest.mark.slow
 @METHODS
 @pytest.mark.parametrize("level", [0.1, 0.5])
 def test_the_singular_values_show_the_order(method, level):
@@ -155,6 +158,7 @@ def test_the_innovation_model_is_a_stable_predictor_with_the_right_noise(method)
     np.testing.assert_allclose(model.C @ model.A @ model.K, C @ A @ K, atol=0.12)
 
 
+@pytest.mark.slow
 @METHODS
 @settings(max_examples=10)
 @given(scale=st.tuples(*[st.floats(-6, 6)] * 4))

@@ -259,6 +259,7 @@ def over_square(x, y):
     return x / (y**2 + 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=250)
 @given(expressions, st.lists(st.lists(numbers, min_size=5, max_size=5), min_size=3, max_size=3))
 def test_an_expression_of_intervals_holds_that_of_their_members_and_of_smaller_intervals(expression, drawn):
@@ -271,6 +272,7 @@ def test_an_expression_of_intervals_holds_that_of_their_members_and_of_smaller_i
     assert holds(small, evaluate(expression, member, over_square)).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.sampled_from([SUM, DIFFERENCE, PRODUCT]), *[st.lists(numbers, min_size=4, max_size=4)] * 2)
 def test_one_operation_is_isotonic_to_the_last_bit(operation, a, b):
@@ -520,6 +522,7 @@ def test_rounding_errors_that_all_fall_to_one_side_stay_within():
         assert product.low[0, 0] <= -(1 + Fraction(U) * (n - 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [3, 10, 30])
 def test_radii_are_those_of_flint(n):
     A, B = (random_intervals(s, n, n, radius=1e-3) for s in (13, 14))
@@ -682,6 +685,7 @@ def test_matrices_that_are_plainly_not_definite_are_not_proved():
             positive_definite(A)
 
 
+@pytest.mark.slow
 def test_an_interval_matrix_is_proved_only_if_its_worst_members_are_definite():
     # n 1 +- r J: the worst member n 1 - r J has the eigenvalue n (1 - r)
     for n in (2, 4, 9):

@@ -146,6 +146,7 @@ def test_a_yes_and_a_no_of_contains_hold_in_fractions(d):
     assert sum(n * v for n, v in zip(normal, exact(found.witness)[0], strict=True)) > offset
 
 
+@pytest.mark.slow
 def test_boxes_of_different_width_are_contained_as_their_corners_are():
     rng = np.random.default_rng(5)
     answers = []
@@ -196,6 +197,7 @@ def test_domains_that_touch_are_left_undecided():
     assert left.meets(Hull([[2.0, 0.0], [0.51, 0.71], [2.0, 3.0]])).answer is False
 
 
+@pytest.mark.slow
 def test_new_samples_of_a_regime_lie_near_the_hull_and_often_outside():
     rng = np.random.default_rng()
     hull, x = Hull(rng.standard_normal((1000, 8))), rng.standard_normal((300, 8))

@@ -252,6 +252,7 @@ def test_without_intervals_the_envelope_is_the_nominal_run():
 # ---- tightness ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_states_have_their_exact_envelope_over_2250_samples(long_run):
     recursion, run = long_run
     assert run.method == "exact polygon"

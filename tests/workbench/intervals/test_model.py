@@ -87,6 +87,7 @@ def models(records):
     return {name: method.fit(records) for name, method in METHODS.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", METHODS)
 def test_every_estimation_sample_keeps_the_promise_in_exact_arithmetic(models, records, name):
     model = models[name]
@@ -199,6 +200,7 @@ def test_the_worst_sequences_replay_in_the_recursion_as_it_is_written():
     assert found.run.ratio < 1 + 1e-4  # an ascent, no proof: it may stop a hair short
 
 
+@pytest.mark.slow
 def test_the_true_machine_runs_within_the_envelope_when_errors_are_bounded():
     """Parameters anywhere in a known interval, outputs measured with bounded errors: InclusionAll holds the true run."""
     e = plant(600, 10)
@@ -207,6 +209,7 @@ def test_the_true_machine_runs_within_the_envelope_when_errors_are_bounded():
     assert found.coverage == 1.0
 
 
+@pytest.mark.slow
 def test_a_free_run_without_schedule_follows_the_modes_of_its_own_regressors(models):
     e = plant(200, 11, name="held")
     found = models["along time"].free_run(e)
@@ -293,6 +296,7 @@ def test_what_a_free_run_counts_as_inside_is_the_width_it_reports(models):
     assert found.mean_radius == pytest.approx(np.mean(found.high - found.low) / 2)
 
 
+@pytest.mark.slow
 def test_a_free_run_says_where_nobody_has_been(models):
     e = plant(200, 45, name="held")
     far = Experiment(e.name, e.t, e.channels, e.values + np.array([0.0, 0.0, 0.0, 9.0]), e.dt)
@@ -340,6 +344,7 @@ def simulation(records):
     return OutputErrorRegression(ARX(2), output_error=NOISE).fit(records)
 
 
+@pytest.mark.slow
 def test_a_simulation_box_holds_every_record_in_its_free_run_and_promises_nothing_else(simulation, records):
     for e in records:
         found = simulation.free_run(e)
@@ -350,6 +355,7 @@ def test_a_simulation_box_holds_every_record_in_its_free_run_and_promises_nothin
         simulation.one_step(records.experiments[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [14, 15, 16])
 def test_a_simulation_box_is_narrower_in_simulation_than_a_box_of_equation_errors(seed):
     e = plant(400, seed)
@@ -359,6 +365,7 @@ def test_a_simulation_box_is_narrower_in_simulation_than_a_box_of_equation_error
     assert simulated.mean_radius < 0.8 * stepped.mean_radius
 
 
+@pytest.mark.slow
 def test_the_middle_of_a_simulation_box_is_the_output_error_fit():
     """An independent optimiser on the recursion as it is written finds no better parameters."""
     from scipy.optimize import least_squares
@@ -379,6 +386,7 @@ def test_the_middle_of_a_simulation_box_is_the_output_error_fit():
 # ---- files, coverage, bad input -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*METHODS, "simulation"])
 def test_a_saved_model_is_the_same_model(models, simulation, records, tmp_path, name):
     model = simulation if name == "simulation" else models[name]
@@ -427,6 +435,7 @@ def test_errors_are_taken_from_the_records_where_nobody_gives_them(records):
     assert "3 standard deviations" in model.notes[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "said"),
     [

@@ -260,6 +260,7 @@ def resting(error=0.01):
     return Experiment.from_arrays("rest", 0.1, inputs={"u": u}, outputs={"y": y}), error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("semantics", [InclusionExact(), InclusionAll()], ids=lambda s: s.name)
 @pytest.mark.parametrize("delta", [True, False])
 def test_a_rest_needs_a_bias(semantics, delta):
@@ -349,6 +350,7 @@ def violation(S, box, draws=300):
     return float(max((S.y + S.output_error - middle - half).max(), (middle - half - S.y + S.output_error).max()))
 
 
+@pytest.mark.slow
 def test_the_papers_inclusion_is_broken_by_most_fits_and_inclusion_of_all_by_none():
     broken = {InclusionPaper: 0, InclusionAll: 0}
     for seed in range(12):

@@ -97,6 +97,7 @@ RECORDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [MeanRadius(), MaximumRadius()], ids=["mean", "maximum"])
 @pytest.mark.parametrize(
     ("records", "delta", "semantics"),
@@ -186,6 +187,7 @@ def test_the_maximum_radius_gives_the_fewest_modes(seed):
         assert len(found) == fewest(S, InclusionExact(), -log(precision) * program.unit, 1)
 
 
+@pytest.mark.slow
 def test_the_papers_inclusion_is_split_with_its_whole_radius():
     S = regression(switching(110, 8), delta=False)
     program = PaperProgram(S, InclusionPaper())
@@ -200,6 +202,7 @@ def test_the_papers_inclusion_is_split_with_its_whole_radius():
 # ---- appendix B -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", [MeanRadius(), MaximumRadius()], ids=["mean", "maximum"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_precision_is_improved_up_to_where_one_more_mode_is_needed(criterion, seed):

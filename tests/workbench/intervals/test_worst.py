@@ -71,6 +71,7 @@ def test_the_multipliers_prove_the_minimum(n, delta):
     np.testing.assert_allclose(proved(worst, c, lam, psi), worst.minimum(c, lam, psi).value, atol=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(st.integers(1, 3), st.booleans(), st.integers(0, 10**6))
 def test_the_proof_stays_tight_on_quantised_and_resting_data(n, delta, seed):

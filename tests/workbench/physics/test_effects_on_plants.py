@@ -91,6 +91,7 @@ def test_shapes_change_nothing_while_the_sizes_are_0(plant):
         assert all(np.array_equal(values[0], other) for other in values)
 
 
+@pytest.mark.slow
 def test_a_size_of_0_beside_all_others_in_a_block_is_still_no_effect(plant):
     """The laws of a lane that has none are computed where its neighbours need them, and must add nothing to the last bit."""
     eta, _ = one_at_a_time(plant)
@@ -116,6 +117,7 @@ def test_every_size_changes_what_is_measured(plant):
     assert not silent
 
 
+@pytest.mark.slow
 def test_a_finer_integrator_changes_nothing_visible(plant):
     """Integrator error would be found as physics. Of a quantised reading a whole step may change: it is left out."""
     eta, slots = one_at_a_time(plant)

@@ -38,6 +38,7 @@ def test_large_angles_keep_their_accuracy():
     assert np.abs(on_array(elementary.sin)(x) - np.sin(x)).max() < 1e-11
 
 
+@pytest.mark.slow
 def test_tanh_is_odd_and_sine_of_zero_is_zero():
     x = np.linspace(0.01, 30, 1001)
     assert np.array_equal(on_array(elementary.tanh)(-x), -on_array(elementary.tanh)(x))

@@ -55,6 +55,7 @@ def test_what_is_found_about_an_extended_plant_is_added_to_what_it_has():
     assert again.of(AXIS).effects == again.effects
 
 
+@pytest.mark.slow
 @given(st.floats(1e-9, 1e9), st.floats(0.0, 1e9))
 def test_numbers_survive_the_file_exactly(tmp_path_factory, mass, level):
     path = tmp_path_factory.mktemp("plant") / "p.json"

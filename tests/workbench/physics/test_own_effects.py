@@ -139,6 +139,7 @@ def test_sizes_of_0_change_no_bit(rig):
     assert np.ptp(at_0.states.values, axis=0).min() > 0.1
 
 
+@pytest.mark.slow
 def test_every_one_acts_where_its_law_says(rig):
     nominal = push(rig)
     for own in OF_ALL:
@@ -201,6 +202,7 @@ def test_a_simulation_equals_an_independent_one():
     np.testing.assert_allclose(run.states["w"], integrated(M, 0.15, 6.0), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_names_it_among_the_catalogue():
     own, held = Dataset((record(1), record(2))), Dataset((record(3),))
     found = diagnose(FLYWHEEL, own, held)

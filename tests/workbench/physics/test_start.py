@@ -50,6 +50,7 @@ def guarded(x, u, p, at):
     return {"h1": (0.3 - p.k) * u.u - q1, "h2": q1 - q2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guess", [1e-3, 0.03, 1.0, 30.0])
 @pytest.mark.parametrize("level", [1e-4, 2e-3, 0.1, 2.0])
 def test_a_level_is_found_from_a_guess_far_above_or_below_it_without_limits(level, guess):
@@ -63,6 +64,7 @@ def shared(x, u, p, at):
     return {"h1": (0.3 - p.k) * u.u - p.a * np.sqrt(x.h1), "h2": p.a * np.sqrt(x.h1) - p.b * np.sqrt(x.h2)}
 
 
+@pytest.mark.slow
 def test_numbers_that_leave_no_rest_start_where_the_plant_did_before():
     limits = {"h1": (0.0, 10.0), "h2": (0.0, 30.0)}
     nominal = plant(shared, TANKS, Start({"u": 1.0}, TANKS, TANKS), limits=limits)
@@ -110,6 +112,7 @@ def test_each_of_many_parameter_vectors_has_the_start_that_it_has_alone():
         np.testing.assert_array_equal(row, own.equilibria(alone[None])[0][0])
 
 
+@pytest.mark.slow
 def test_what_has_no_start_is_told_with_its_unknowns_equations_and_how_near_it_came():
     with pytest.raises(InputError) as reason:
         plant(arm, ARM, Start({"th": -0.3}, ("u",), ("w",))).equilibrium()
@@ -118,6 +121,7 @@ def test_what_has_no_start_is_told_with_its_unknowns_equations_and_how_near_it_c
     assert "Start(guess=" in reason.value.mend
 
 
+@pytest.mark.slow
 def test_an_unknown_that_acts_on_nothing_is_named():
     def idle(x, u, p, at):
         return {"q": x.v, "v": u.u - x.v}

@@ -77,6 +77,7 @@ def test_entries_that_are_named_are_corrected_as_by_a_gain_of_0_for_all_others()
     assert np.abs(few.full - run(plant, u, start, stepper.Steering(full=True), effects=lag).full).max() > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("R", [2, 3, 17, 18, 19])
 def test_every_run_of_a_batch_is_the_run_alone_whichever_kernel_it_goes_through(R):
     random, plant = np.random.default_rng(2), WEB_WINDING

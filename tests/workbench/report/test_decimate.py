@@ -1,6 +1,7 @@
 """Decimation keeps what an eye would miss: extremes, order, ends and gaps; and it does decimate."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -16,6 +17,7 @@ TRACES = st.integers(1, 300).flatmap(
 )
 
 
+@pytest.mark.slow
 @given(TRACES, st.integers(1, 50))
 def test_kept_samples_are_in_order_and_once_and_hold_both_ends(trace, columns):
     kept = extremes(*trace, columns)

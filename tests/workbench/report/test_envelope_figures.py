@@ -140,6 +140,7 @@ def test_the_numbers_of_an_envelope_are_those_that_went_in_with_their_units():
     np.testing.assert_allclose(assert_shows(paths(picture, "band-0-reached-high")[0][:, 1], Y + 1), level, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_bands_differ_in_colour_and_none_is_that_of_what_lies_outside():
     picture = drawn(**{f"m{i}": Band(Y - 1 - i, Y + 1 + i) for i in range(5)})
     found = [re.search(rf'id="band-{i}-low".*?stroke: (#\w+)', picture.figure_svg, re.S) for i in range(5)]
@@ -159,6 +160,7 @@ def test_bad_envelopes_are_refused_with_their_name():
         drawn(SSM=Band(Y - 1, Y + 1, Y))
 
 
+@pytest.mark.slow
 def test_a_long_record_costs_little_and_keeps_the_extremes_of_band_and_signal():
     N = 100_000
     rng = np.random.default_rng(0)
@@ -173,6 +175,7 @@ def test_a_long_record_costs_little_and_keeps_the_extremes_of_band_and_signal():
     np.testing.assert_allclose(spike[spike[:, 1].argmin(), 1], paths(picture, "measured")[0][:, 1].min(), atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("M", [1, 2, 60])
 def test_modes_are_a_step_line_and_every_sample_is_drawn_in_one_colour(M):
     mode = np.arange(400) * M // 400
@@ -344,6 +347,7 @@ def test_a_response_that_runs_away_is_named_and_leaves_the_others_their_scale():
     assert max(np.abs(p).max() for p in paths(picture, "curve-2")) < 1e5
 
 
+@pytest.mark.slow
 def test_no_label_leaves_the_picture():
     long = "a name that goes on for longer than any picture is wide, and then some"
     modes = np.arange(400) // 100

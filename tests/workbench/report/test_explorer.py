@@ -37,6 +37,7 @@ def pages(folder):
     return write_report(Report("Page", "Verdict.", (Section("S", blocks),)), folder)
 
 
+@pytest.mark.slow
 def test_what_can_be_explored_is_told_by_the_numbers(tmp_path):
     text = pages(tmp_path).read_text()
     assert re.findall(r'data-view="(\w+)"', text) == ["line", "line", "family", "plane"]
@@ -56,6 +57,7 @@ def test_what_can_be_explored_is_told_by_the_numbers(tmp_path):
     assert kind(L_real=t, L_imaginary=t) == "plane"
 
 
+@pytest.mark.slow
 @needs_browser
 def test_keys_move_zoom_and_read_what_the_numbers_are(tmp_path):
     page = pages(tmp_path)
@@ -111,6 +113,7 @@ def test_keys_move_zoom_and_read_what_the_numbers_are(tmp_path):
     assert found["opener"] == "explore"
 
 
+@pytest.mark.slow
 @needs_browser
 def test_the_schedule_is_turned_and_the_plane_is_drawn(tmp_path):
     got = asked(
@@ -143,6 +146,7 @@ def test_the_schedule_is_turned_and_the_plane_is_drawn(tmp_path):
     assert found["inked"] > 1000
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize(("width", "dark"), [(1200, False), (400, False), (400, True)])
 def test_the_page_fits_names_every_button_and_asks_nothing_of_the_network(tmp_path, width, dark):
@@ -169,6 +173,7 @@ def test_the_page_fits_names_every_button_and_asks_nothing_of_the_network(tmp_pa
     assert found["fetched"] == 0
 
 
+@pytest.mark.slow
 @needs_browser
 def test_what_is_too_long_for_text_lies_in_the_page_all_the_same(tmp_path):
     """Packed in 16 bits: what is read is within a step of the numbers, holes stay holes, and the page is small."""
@@ -202,6 +207,7 @@ def test_what_is_too_long_for_text_lies_in_the_page_all_the_same(tmp_path):
         assert np.abs(near - float(y)).min() <= step + 1e-4 * abs(float(y))
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_long_family_over_a_logarithmic_axis_keeps_its_members(tmp_path, monkeypatch):
     monkeypatch.setattr("workbench.report.page.INLINE", 1000)

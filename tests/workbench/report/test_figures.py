@@ -88,6 +88,7 @@ def test_no_line_joins_across_a_gap_of_time_or_a_lost_sample():
     assert paths(picture, "error-0")[0][0, 0] == paths(picture, "measured")[0][20, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("last", [1e300, np.inf, -1e12])
 def test_a_model_that_diverges_leaves_the_others_their_scale_and_is_named(last):
     runaway = Y.copy()

@@ -29,6 +29,7 @@ def points(path: str) -> list[np.ndarray]:
     return pieces
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.floats(-2000, 2000), st.floats(-2000, 2000)), min_size=60, max_size=200))
 def test_a_shortened_path_goes_through_every_point_within_a_tenth_of_a_point(vertices):
     path = "M " + " L ".join(f"{x:f} {y:f}" for x, y in vertices)

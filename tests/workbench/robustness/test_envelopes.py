@@ -143,6 +143,7 @@ def test_a_replay_is_the_defining_equation(M):
 # ---- closed forms ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_one_state_lies_between_two_products():
     """v(k) in 2 prod (a(l) -+ lam(l)) for slopes a > lam: upward the kernel is exact as well, and all three know it."""
     random = np.random.default_rng(0)
@@ -215,6 +216,7 @@ def test_two_states_have_the_exact_hull_of_the_open_loop_module(seed, through):
 # ---- every run ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(SEEDS, st.integers(1, 4), st.integers(1, 5), st.integers(1, 3), st.sampled_from([1, 2, 15]))
 def test_every_run_stays_within_kernel_and_proof(seed, n, p, c, M):
@@ -231,6 +233,7 @@ def test_every_run_stays_within_kernel_and_proof(seed, n, p, c, M):
         assert found.value[i] == found.v[i, k, s]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("M", [1, 200])
 def test_many_parameters_of_two_channels(M):
     """Nine parameters each: bounded term by term, and by multipliers that need no corners."""
@@ -258,6 +261,7 @@ def test_no_sign_sequence_beats_the_adversary(seed, M):
             assert side * found.value[i] == pytest.approx(extreme, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_channels_without_parameters_and_parameters_without_width():
     course = some(4, n=3, p=4, c=3, N=30, radius=0.7)
     course = replace(course, lam=np.array([[0.04, 0.0, 0.02, 0.0]]), channel=[0, 0, 0, 1])  # 1 has no width, 2 no parameter
@@ -274,6 +278,7 @@ def test_channels_without_parameters_and_parameters_without_width():
         assert own[0] == pytest.approx(own[1], rel=5e-2)
 
 
+@pytest.mark.slow
 def test_without_width_the_envelope_is_the_nominal_run():
     course = replace(some(2, N=40), lam=np.zeros((1, 4)))
     found = envelope(course)
@@ -525,6 +530,7 @@ def proven():
     return course, found, dual(course, found), dual(course, found, 0, outer)
 
 
+@pytest.mark.slow
 def test_a_proof_that_was_tampered_with_is_rejected(proven):
     course, found, *proofs = proven
     reach = float(deviation(course, found, found.value)[0])
@@ -606,6 +612,7 @@ def test_the_slope_of_the_bound_is_its_slope():
     assert np.abs(at.slope[100:]).max() > 0.0
 
 
+@pytest.mark.slow
 def test_a_window_pays_for_what_happened_before(monkeypatch):
     """A window that forgets a third of what counts is still an upper bound, and wider: its box is not decoration."""
     course = lagged_course(0.05, N=300)
@@ -637,6 +644,7 @@ def test_boxes_in_which_the_kernel_grows_without_limit_may_still_be_bounded():
 # ---- all of it ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "most"), [(0.02, 1.05), (0.05, 1.2), (0.08, 1.5)])
 def test_little_is_left_open_at_the_critical_instants(share, most):
     course = lagged_course(share, N=900)
@@ -658,6 +666,7 @@ def test_little_is_left_open_at_the_critical_instants(share, most):
         assert found.high[other, s] - found.nominal[other, s] == pytest.approx(outer.half[other, s], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_limits_say_where_to_look():
     course = lagged_course(0.05, N=500)
     limits = np.array([[-np.inf, 1.4], [-2.0, np.inf]])

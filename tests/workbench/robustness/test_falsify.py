@@ -81,6 +81,7 @@ def test_a_single_number_is_searched_too():
     assert found.point["c"] == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_hill_beside_a_slope_to_another_corner_is_found():
     """Ends, corners and the surroundings of the best corner all point away from it."""
     plant = TOY_WITH_A_HILL
@@ -247,6 +248,7 @@ def test_a_search_finds_more_than_ten_times_as_many_random_machines(robot):
     assert robot.share == robot.history[-1]  # confirmed by a run by itself, in the last bit
 
 
+@pytest.mark.slow
 def test_a_law_that_is_asked_step_by_step_gives_the_same_worst_machine():
     class Asked:
         def __init__(self):

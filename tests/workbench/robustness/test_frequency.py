@@ -149,6 +149,7 @@ def ss(system: System):
     return control.ss(system.A, system.B, system.C, system.D, system.dt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_margins_of_a_loop_are_those_of_python_control(seed):
     """On a grid that is fine across every pole, with its own interconnection; and one more sample of delay at a time."""

@@ -46,6 +46,7 @@ def test_models_in_other_units_are_not_designed_for_together(side):
         design_pid(machine(), knots=1, robust_to=(other,))
 
 
+@pytest.mark.slow
 def test_the_margins_of_one_law_are_the_worst_of_all_its_models():
     """One is worse in one respect, the other in another; each peak is told with its frequency."""
     other = machine(slow=0.9, turned=tuple(1.6 * G for G in TURNED))

@@ -34,6 +34,7 @@ def test_one_state_reaches_its_exact_margin():
     assert certificate(loop, 3.01, 0.01) is None
 
 
+@pytest.mark.slow
 def test_a_certificate_is_true_of_every_run():
     """Random schedules within the rate and random parameters: x'P(rho) x falls at every sample, also where cells meet."""
     loop = scheduled_loop(turning, NODES)
@@ -54,6 +55,7 @@ def test_a_certificate_is_true_of_every_run():
         x, rho = y / np.linalg.norm(y), after
 
 
+@pytest.mark.slow
 def test_a_faster_schedule_leaves_less_and_no_rate_is_the_frozen_bound():
     loop = scheduled_loop(turning, NODES)
     slow, fast = (largest(loop, rate, 12.0, 1.02).kappa for rate in (1e-3, 0.125))
@@ -62,6 +64,7 @@ def test_a_faster_schedule_leaves_less_and_no_rate_is_the_frozen_bound():
     assert 0.7 * worst < slow < worst
 
 
+@pytest.mark.slow
 def test_more_nodes_come_nearer():
     """The robot as it is between the lightest and the heaviest platform: a P of one piece does not do, one of three does."""
     at = robot([0.7, 1.5])

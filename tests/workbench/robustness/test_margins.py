@@ -43,6 +43,7 @@ def size(A):
 # ---- exact answers --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pole", [0.7, -0.4])
 def test_one_state_has_one_margin(pole):
     """|pole| + kappa lam = 1 for parameters that stand still and for those that move."""
@@ -105,6 +106,7 @@ def test_valleys_beside_a_pole_near_the_circle(seed):
     assert size(loop.at(0.999 * found.kappa * np.concatenate([edge, edge[:, ::-1]]))).max() < 1.0
 
 
+@pytest.mark.slow
 def test_many_poles_close_to_one_are_not_taken_for_poles_on_the_circle():
     """A model of many slow local models: its characteristic polynomial at 1 is far below the rounding of its coefficients."""
     A = np.diag(np.linspace(0.94, 0.985, 12)) + 0.01 * np.eye(12, k=-1)
@@ -132,6 +134,7 @@ def test_a_narrow_resonance_is_not_missed():
 # ---- both sides -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "q"), [(seed, q) for seed in range(6) for q in (1, 2)])
 def test_both_bounds_are_what_they_claim(seed, q):
     loop = drawn(seed, n=5, p=4, q=q)
@@ -150,6 +153,7 @@ def test_both_bounds_are_what_they_claim(seed, q):
     assert found.gap < 1.25
 
 
+@pytest.mark.slow
 def test_a_sequence_that_grows_grows_in_the_machine():
     """The regressions and the law, stepped one by one under the falsified parameters: growth by growth^periods."""
     models, one = two_regressions()
@@ -175,6 +179,7 @@ def widened(model, kappa):
     return replace(model, modes=(replace(mode, box=replace(mode.box, radius=kappa * mode.box.radius)),))
 
 
+@pytest.mark.slow
 def test_random_parameters_find_nothing_where_the_sequence_grows():
     """2 % above the falsified margin random corners still let every state die out: sampling proves nothing."""
     loop = drawn(3, n=6, p=5)
@@ -240,6 +245,7 @@ def test_the_quadratic_margin_is_that_of_the_circle_criterion():
     assert without_steps(quadratic) == pytest.approx(1.0 + 2.0 * np.sqrt(2.0), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_worst_switching_is_the_published_one():
     """k = 6.98513: Margaliot and Langholz, IEEE Trans. Circuits and Systems I 50 (2003); and in the plane, as every spring turns
     the state the same way, that at which the largest growth over each angle adds up to nothing over half a turn."""
@@ -265,6 +271,7 @@ def test_the_worst_switching_is_the_published_one():
 # ---- certificates ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_broken_certificate_is_rejected():
     loop = drawn(2, n=5, p=4).balanced()
     found = margin(loop)
@@ -293,6 +300,7 @@ def test_one_step_and_two_steps_are_told_apart():
     assert not Certificate(1.0, np.eye(2), steps=1).holds(loop)
 
 
+@pytest.mark.slow
 def test_two_steps_where_there_are_few_enough_corners():
     """And more is proved than by multipliers alone, which need no corners."""
     many = margin(drawn(11, n=4, p=7))
@@ -315,6 +323,7 @@ def test_every_corner_is_looked_at():
 # ---- odd loops ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_superfluous_states_do_no_harm():
     """States that nothing reaches, and states that copy others: where a balanced realisation breaks down the bounds stay."""
     loop = drawn(4, n=4, p=3)
@@ -328,6 +337,7 @@ def test_superfluous_states_do_no_harm():
     assert other.certified.kappa == pytest.approx(one.certified.kappa, rel=0.03)
 
 
+@pytest.mark.slow
 def test_odd_loops_are_refused():
     with pytest.raises(InputError, match="not stable in the middle"):
         margin(UncertainLoop([[1.1]], [[1.0]], [[1.0]], [0.1], [0]))

@@ -25,6 +25,8 @@ from workbench.robustness.envelopes import Course, kernel
 from workbench.robustness.loop import course, course_of, driven, machine_of, with_rates
 from workbench.robustness.verdict import Bound, Status, bounds_kept
 
+pytestmark = pytest.mark.slow
+
 DT, N = 0.1, 40
 AFFINE = Powers((0.0, 1.0))
 ROUNDED = 1e-7  # of the size of a signal: what two ways to compute a run may differ by
@@ -435,7 +437,6 @@ def test_nothing_that_is_proved_of_random_loops_is_broken():
     assert min(found["between PROVED"], found["outside PROVED"], found["beyond FAILED"]) > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("block", range(10))
 def test_nothing_that_is_proved_of_500_random_loops_is_broken(block):
     """Some 50 loops a block. Nor may much be lost: the share of true claims that are decided is what is left of tightness."""

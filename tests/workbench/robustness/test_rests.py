@@ -78,6 +78,7 @@ def points(course, count, seed):
     return shares[:, :p], shares[:, p:]
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     st.integers(0, 10**6), st.integers(1, 4), st.integers(1, 4), st.integers(1, 2), st.integers(0, 2), st.sampled_from([1.0, 1e6])

@@ -11,6 +11,8 @@ from workbench.robustness.lyapunov import scheduled_loop
 from workbench.robustness.margins import margin
 from workbench.robustness.schedules import ScheduledFalsified, falsified_schedule, scheduled_margin
 
+pytestmark = pytest.mark.slow
+
 
 def scalar(rho: float) -> UncertainLoop:
     """x+ = (0.3 + 0.4 rho + 0.1 delta) x"""

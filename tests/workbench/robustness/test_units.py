@@ -83,6 +83,7 @@ def in_any_units(random):
     return loop, one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_margins_are_the_same_in_any_units(seed):
     in_any_units(np.random.default_rng(seed))

@@ -158,6 +158,7 @@ def drawn_course(seed) -> tuple[Course, Bound]:
     return course, Bound("y", "y", "", np.full(samples, -np.inf), np.full(samples, limit))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", range(10))
 def test_no_claim_of_200_random_runs_is_proved_and_refuted(block):
     """PROVED of parameters that move, and not one of many random sequences breaks the bound; FAILED breaks it when replayed."""
@@ -178,6 +179,7 @@ def test_no_claim_of_200_random_runs_is_proved_and_refuted(block):
     assert {Status.PROVED, Status.FAILED} <= seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", range(10))
 def test_no_stability_of_200_random_loops_is_proved_and_refuted(block):
     for seed in range(20 * block, 20 * block + 20):
@@ -209,6 +211,7 @@ def test_a_certificate_that_does_not_hold_proves_nothing():
     assert stability(lying, 2.0 * found.falsified.kappa, "", "").status is Status.UNDECIDED
 
 
+@pytest.mark.slow
 def test_only_parameters_that_may_be_the_machines_refute():
     """A loop whose corner 1 is lost and corner -1 is not."""
     loop = UncertainLoop([[0.9]], [[1.0]], [[1.0]], [0.2], [0])

@@ -97,6 +97,7 @@ def test_without_noise_only_what_moves_is_uncertain():
     np.testing.assert_array_equal(names[1], [0.05, 0.05, 0.0])
 
 
+@pytest.mark.slow
 def test_in_motion_only_a_loop_that_is_linear_between_its_nodes_is_proved():
     def asked(model, radius=(0.05, 0.05, 0.01)):
         return _in_motion(model, errors(radius), LAW, 0.5, 3, 1.0, "", lambda _: None)

@@ -81,12 +81,14 @@ def test_an_arm_with_fine_margins_is_lost(arm):
     assert not along(still, ARM, np.repeat([[20.0], [22.0]], 1000, axis=0), 800).lost
 
 
+@pytest.mark.slow
 def test_the_model_itself_loses_it_where_its_schedule_is_its_output(arm):
     _, found = arm
     assert followed(arm_model()) == 0
     assert on_model(found.law, arm_model()).lost
 
 
+@pytest.mark.slow
 def test_design_hands_it_out_only_if_it_is_accepted(arm, capsys):
     folder, _ = arm
     words = ["design", "scheduled-pid", "--knots", "3", "--model", str(folder / "m.json")]
@@ -122,6 +124,7 @@ def lag(pole=0.9) -> LPVModel:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("Ki", "lost"), [(0.5, ""), (-0.5, "runs away"), (60.0, "runs away")])
 def test_a_loop_is_lost_if_theory_says_so(Ki, lost):
     law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[Ki]], u0=np.array([0.5]))
@@ -138,11 +141,13 @@ def test_a_command_that_cannot_reach_far_steps_less():
     assert "steps of y 0.05 m" in found.sentence
 
 
+@pytest.mark.slow
 def test_a_limit_cycle_at_the_stops_is_lost():
     law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[60.0]], u0=np.array([0.5]), low=np.array([-9.0]), high=np.array([10.0]))
     assert "away from its set-point" in on_model(law, lag()).lost
 
 
+@pytest.mark.slow
 def test_every_designed_law_of_a_sound_machine_is_handed_out():
     """The schedule of this machine is no output, and goes once along its span."""
     assert followed(machine()) is None
