@@ -68,6 +68,13 @@ def check(
         raise InputError("model and records go together", mend="the records say what the model leaves open")
     if fitted and plant is None:
         raise InputError("fitted intervals are for a search on the plant", mend="give plant= as well")
+    for name, given, kind in (("model", model, LPVModel), ("plant", plant, Plant)):
+        if given is not None and not isinstance(given, kind):
+            told = f"{name}: {type(given).__name__} {given!r}"[:80]
+            raise InputError(f"{told}, expected {kind.__name__}", mend="wb.identify(..).model, wb.diagnose(..).plant")
+    for name, count in (("lags", lags), ("nodes", nodes), ("runs", runs)):
+        if count is not None and not (isinstance(count, int) and count >= 1):
+            raise InputError(f"{name} = {count!r}", mend="expected a whole number from 1 on")
     dataset = None if records is None else as_dataset(records)
     left = None
     if model is not None and dataset is not None:
@@ -179,7 +186,11 @@ class CheckResult(Answer):
 def _limits(given: Limits) -> LoopLimits:
     if isinstance(given, LoopLimits):
         return given
-    return limits_of(given) if isinstance(given, Mapping) else load_limits(given)
+    if isinstance(given, Mapping):
+        return limits_of(given)
+    if not isinstance(given, str | Path):
+        raise InputError(f"limits: {type(given).__name__} {given!r}"[:80], mend="give a limits.toml, or a dict of what it holds")
+    return load_limits(given)
 
 
 def _fitted(plant: Plant, given: Fitted) -> Iterable:

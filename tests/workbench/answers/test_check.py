@@ -80,12 +80,14 @@ def test_what_failed_is_written_and_runs_again(records, model, tmp_path):
     ("given", "problem"),
     [
         ({}, "check on what"), ({"model": 1}, "model and records go together"), ({"records": 1, "plant": 1}, "go together"),
-        ({"fitted": ["x.json"], "model": 1, "records": 1}, "fitted"),
+        ({"fitted": ["x.json"], "model": 1, "records": 1}, "fitted"), ({"plant": "welding-robot"}, "expected Plant"),
+        ({"model": "m.json", "records": 1}, "expected LPVModel"), ({"plant": WELDING_ROBOT, "limits": 5}, "limits: int 5"),
+        ({"plant": WELDING_ROBOT, "runs": 0}, "runs = 0"), ({"plant": WELDING_ROBOT, "nodes": 2.5}, "nodes = 2.5"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_together_is_refused(given, problem):
     with pytest.raises(wb.InputError, match=problem):
-        wb.check(LAW, LIMITS, **given)
+        wb.check(LAW, **({"limits": LIMITS} | given))
 
 
 @pytest.mark.parametrize(
