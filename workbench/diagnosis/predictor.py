@@ -13,6 +13,7 @@ whitened, W_k e_k with W S W' = I.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -216,8 +217,7 @@ class Predictor:
         It holds a place where it is, which a wider law does not: there the place creeps, and a fit makes up for that by other
         levels, or one for each direction.
         """
-        sizes = [i for i, slot in enumerate(self.plant.slots) if slot.key in self._widths and not slot.parameter.shape]
-        if not np.any(self.point.eta[:, sizes]):
+        if not any(np.any(self.point.eta[:, dry.sizes]) for dry in _dry_friction(self.plant)):
             return self
         most, substeps = FINEST * self.plant.substeps, max(self.substeps, self.plant.substeps)
         off = self._off(most)
@@ -268,7 +268,11 @@ class Predictor:
         a: the acceleration that the friction gives. A narrower law chatters at rest, and a likelihood with chatter in it has a
         minimum everywhere.
         """
-        plant, soft, none = self.plant, eta.copy(), np.repeat(self.plant.effect_vector()[None], len(eta), axis=0)
+        plant = self.plant
+        acting = [dry for dry in _dry_friction(plant) if np.any(eta[:, dry.sizes])]
+        if not acting:
+            return eta
+        soft, none = eta.copy(), np.repeat(plant.effect_vector()[None], len(eta), axis=0)
         rest, u = start.copy(), np.repeat(u[None], len(eta), axis=0)
         rest[:, [plant.state_names.index(speed) for speed in plant.turning.values()]] = 0.0
 
@@ -276,19 +280,13 @@ class Predictor:
             """Of every state's rate over the state itself, (R, nx), when what sets in has set in."""
             return np.diagonal(plant.jacobians_of(rest, u, p, effects, t=FOREVER)[0], axis1=1, axis2=2)
 
-        for key, width in self._widths.items():
-            own = [i for i, slot in enumerate(plant.slots) if slot.key == key]
-            if np.any(eta[:, [i for i in own if not plant.slots[i].parameter.shape]]):
-                alone = none.copy()
-                alone[:, own] = eta[:, own]
-                steep = np.nan_to_num(np.abs(slopes(alone) - slopes(none))).max(axis=1)  # a / width
-                soft[:, width] *= np.sqrt(1.0 + (plant.dt / self.substeps * steep) ** 2)
+        bare = slopes(none)
+        for dry in acting:
+            alone = none.copy()
+            alone[:, dry.own] = eta[:, dry.own]
+            steep = np.nan_to_num(np.abs(slopes(alone) - bare)).max(axis=1)  # a / width
+            soft[:, dry.width] *= np.sqrt(1.0 + (plant.dt / self.substeps * steep) ** 2)
         return soft
-
-    @cached_property
-    def _widths(self) -> dict[str, int]:
-        """Keys of laws of dry friction, and where their widths stand among the numbers of effects."""
-        return {slot.key: i for i, slot in enumerate(self.plant.slots) if slot.parameter.name == "width"}
 
     def _gain_of_all(self, i: int) -> np.ndarray:
         """The gain (N, n, ny) with a row for all that a filter may carry, 0 where this one does not."""
@@ -417,6 +415,26 @@ def with_decays(line: Linearization, decays: np.ndarray) -> Linearization:
 def player(plant: Plant) -> Playback:
     """One and the same controller for a plant: kernels are looked up by it."""
     return Playback(plant.input_names, plant.dt)
+
+
+class _Dry(NamedTuple):
+    """A law of dry friction: where its numbers, its sizes and its width stand among those of the effects."""
+
+    key: str
+    own: list[int]
+    sizes: list[int]
+    width: int
+
+
+@lru_cache(maxsize=64)
+def _dry_friction(plant: Plant) -> tuple[_Dry, ...]:
+    """All that the plant may have: each has a width of speed, within which it turns its sign."""
+    found = []
+    for width, slot in enumerate(plant.slots):
+        if slot.parameter.name == "width":
+            own = [i for i, q in enumerate(plant.slots) if q.key == slot.key]
+            found.append(_Dry(slot.key, own, [i for i in own if not plant.slots[i].parameter.shape], width))
+    return tuple(found)
 
 
 def _rounding(plant: Plant) -> np.ndarray:

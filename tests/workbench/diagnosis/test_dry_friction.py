@@ -8,7 +8,7 @@ import pytest
 from tests.workbench.diagnosis.cases import AXIS, PUSH, READING
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.diagnosis import diagnose
-from workbench.diagnosis.predictor import FINEST, VISIBLE, Point, predictor
+from workbench.diagnosis.predictor import FINEST, VISIBLE, Point, _dry_friction, predictor
 
 M, FV = AXIS.nominal
 LEVEL = 60.0  # N
@@ -49,10 +49,10 @@ def rubbing(made, key, **numbers):
 
 def test_a_law_is_as_wide_as_a_step_can_follow_and_no_other_number_moves():
     made = predictor(SLIDING, Dataset((stuck(1, LEVEL, samples=50),)))
-    place = next(key for key in made._widths if key.startswith("coulomb@"))
+    place = next(dry.key for dry in _dry_friction(made.plant) if dry.key.startswith("coulomb@"))
     at = rubbing(made, place, level=LEVEL, width=1e-4).point
     soft = made._softened(at.p[None], at.eta[:1], at.start[:1], np.zeros(1))[0]
-    width = made._widths[place]
+    (width,) = (dry.width for dry in _dry_friction(made.plant) if dry.key == place)
     assert soft[width] == pytest.approx(np.hypot(1e-4, AXIS.dt / made.substeps * LEVEL / M), rel=1e-9)
     assert np.array_equal(np.delete(soft, width), np.delete(at.eta[0], width))
     calm = made._softened(at.p[None], made.point.eta[:1], at.start[:1], np.zeros(1))
@@ -62,7 +62,7 @@ def test_a_law_is_as_wide_as_a_step_can_follow_and_no_other_number_moves():
 def test_as_many_steps_as_what_stands_still_asks_for():
     made = predictor(SLIDING, Dataset((stuck(2, LEVEL),)))
     assert made.finer().substeps == made.substeps  # nothing rubs there
-    place = next(key for key in made._widths if key.startswith("coulomb@"))
+    place = next(dry.key for dry in _dry_friction(made.plant) if dry.key.startswith("coulomb@"))
     at = rubbing(made, place, level=LEVEL, width=1e-4)
     chosen, most = at.finer(), FINEST * SLIDING.substeps
     assert made.substeps < chosen.substeps <= most
@@ -74,7 +74,7 @@ def test_as_many_steps_as_what_stands_still_asks_for():
 def test_the_likelihood_has_no_chatter_in_it():
     """Along the level its second differences are those of a parabola: what chatters jumps from one value to the next."""
     made = predictor(SLIDING, Dataset((stuck(3, LEVEL),)))
-    place = next(key for key in made._widths if key.startswith("coulomb@"))
+    place = next(dry.key for dry in _dry_friction(made.plant) if dry.key.startswith("coulomb@"))
     made = rubbing(made, place, level=LEVEL, width=1e-5).finer()
     made = made.regained(made.point)
     levels = LEVEL + 0.02 * np.arange(-6, 7)
