@@ -152,15 +152,27 @@ class Summary:
 # ---- one row ----------------------------------------------------------------------------------------------------------------
 
 
-def names(cause: Mapping[str, Any]) -> set[str]:
-    """The cause and its declared rivals, where there are at most three in all; of a wider tie the cause alone."""
+def names(cause: Mapping[str, Any], hidden: Iterable[str] = ()) -> set[str]:
+    """The cause and its declared rivals, where there are at most three in all; of a wider tie the cause alone.
+
+    Of two effects that are a rival together, "a + b", each counts if both are `hidden`.
+    """
     both = {cause["key"], *cause["ties"]}
-    return both if len(both) <= WIDEST_TIE else {cause["key"]}
+    both = both if len(both) <= WIDEST_TIE else {cause["key"]}
+    return both.union(*_together(both, hidden))
+
+
+def _together(names: Iterable[str], hidden: Iterable[str]) -> list[set[str]]:
+    """The effects of every "a + b" among names of which all are hidden."""
+    pairs = [set(name.split(" + ")) for name in names if " + " in name]
+    return [pair for pair in pairs if pair <= set(hidden)]
 
 
 def found(row: Row) -> int:
-    """How many of the hidden effects are named or in a tie, each by a cause of its own."""
-    return _matched([t["key"] for t in row["truth"]], [names(c) for c in beyond_rounding(row)])
+    """How many of the hidden effects are named or in a tie, each by a cause of its own or by a pair that a cause ties with."""
+    keys, causes = [t["key"] for t in row["truth"]], beyond_rounding(row)
+    said = [names(c, keys) for c in causes]
+    return _matched(keys, said + [pair for c in causes for pair in _together(names(c), keys)[:1]])
 
 
 def _matched(keys: Sequence[str], said: Sequence[set[str]]) -> int:
@@ -175,13 +187,15 @@ def _matched(keys: Sequence[str], said: Sequence[set[str]]) -> int:
 def strangers(row: Row) -> list[str]:
     """Causes that stand for nothing that was hidden."""
     keys = {t["key"] for t in row["truth"]}
-    return [c["key"] for c in beyond_rounding(row) if not keys & names(c)]
+    return [c["key"] for c in beyond_rounding(row) if not keys & names(c, keys)]
 
 
 def misled(row: Row) -> list[str]:
     """Causes that are said to be sure, though neither they nor any effect that is declared a tie with them was hidden."""
     keys = {t["key"] for t in row["truth"]}
-    return [c["key"] for c in beyond_rounding(row) if c["sure"] and not keys & {c["key"], *c["ties"]}]
+    sure = [c for c in beyond_rounding(row) if c["sure"]]
+    said = {c["key"]: {c["key"], *c["ties"]} for c in sure}
+    return [key for key, own in said.items() if not keys & own.union(*_together(own, keys))]
 
 
 def outcome(row: Row) -> Outcome:

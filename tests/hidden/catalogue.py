@@ -96,6 +96,7 @@ class Ranges(NamedTuple):
     duration: float  # s
     radian: float  # 1 where shafts turn, m/rad where bodies slide
     orders: int  # highest order of a ripple
+    fading: tuple[float, float] = (3.0, 30.0)  # rad/s, at which friction of low speed is gone
 
 
 def shapes(effect: str, ranges: Ranges, size: float, random: np.random.Generator) -> dict[str, float]:
@@ -107,7 +108,7 @@ def shapes(effect: str, ranges: Ranges, size: float, random: np.random.Generator
 
     match effect:
         case "stribeck":
-            return {"speed": between(3.0, 30.0) * ranges.radian}
+            return {"speed": between(*ranges.fading) * ranges.radian}
         case "asymmetric-friction":
             return {"backward": 0.0 if ranges.radian == 1.0 else 0.4 * where * size}
         case "torque-ripple":

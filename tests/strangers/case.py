@@ -26,6 +26,7 @@ RECORDS, HELD_OUT = 3, 2
 AT_ONCE = 4  # effects whose limits are found together
 RIVAL = 0.1  # of its largest size, at which an effect is taken to be linear
 TRIES, SHRINK = 8, 0.6
+FADING = (0.1, 1.0)  # of the fastest speed in the records: where friction of low speed is gone
 OUTSIDE = "outside"  # the place of physics that the catalogue does not have
 PHASED = {"imbalance", "torque-ripple", "periodic-tension"}
 
@@ -313,8 +314,11 @@ def _hidden(bench: _Bench, log: Log, key: str, size: float, multiple: float, ran
     s, size_now = bench.s, size
     if effect == "saturation":
         size_now = float(np.abs(log.commands[:, s.machine.plant.input_names.index(place)]).max()) - size
-    own = s.machine.places.get(place)
-    ranges = Ranges(s.samples * s.dt, own.radian if own else 1.0, 12)
+    ranges = Ranges(s.samples * s.dt, 1.0, 12)
+    if own := s.machine.places.get(place):
+        fast = float(np.quantile(np.abs(log.states[:, own.speed]), 0.95)) / own.radian
+        # what fades at speeds that these records do not reach is plain dry friction in them
+        ranges = ranges._replace(radian=own.radian, fading=(FADING[0] * fast, FADING[1] * fast))
     return Hidden(effect, place, {SIZE[effect][0]: size_now} | shapes(effect, ranges, size, random), multiple)
 
 

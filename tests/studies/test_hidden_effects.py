@@ -18,6 +18,7 @@ from studies.hidden_scores import (
     Share,
     by_machine,
     found,
+    misled,
     must_be_found,
     outcome,
     resolution,
@@ -111,6 +112,19 @@ def test_of_two_effects_each_needs_a_cause_of_its_own():
     crossed = [named(DELAY, ties={COULOMB: 0.3, OFFSET: 0.2}), named(COULOMB)]
     assert found(row(*pair, causes=crossed)) == 2  # the tie stands for the offset, though the friction comes first in it
     assert strangers(row(*pair, causes=[named(COULOMB), named(LAG)])) == [LAG]
+
+
+def test_two_effects_that_are_a_rival_together_count_only_where_both_are_hidden():
+    said = named("asymmetric-friction@rail", ties={f"{COULOMB} + {OFFSET}": 0.4})
+    assert found(row(hid(COULOMB), hid(OFFSET), causes=[said])) == 2
+    assert misled(row(hid(COULOMB), hid(OFFSET), causes=[said])) == []
+    assert strangers(row(hid(COULOMB), hid(OFFSET), causes=[said])) == []
+    assert outcome(row(hid(COULOMB), causes=[said])) is Outcome.WRONG
+    assert found(row(hid(COULOMB), hid(DELAY), causes=[said])) == 0
+    assert (
+        found(row(hid(COULOMB), hid(OFFSET), causes=[named(LAG, ties={f"{COULOMB} + {OFFSET}": 0.4, DELAY: 0.1, "x@y": 0.1})]))
+        == 0
+    )
 
 
 def test_an_effect_must_be_found_from_twice_both_limits_on_unless_it_could_not_be_tested():

@@ -57,9 +57,9 @@ class Evidence:
 class Cause:
     """A named effect: "coulomb@unwind", one sentence, its numbers, what it gains on held-out records, evidence and rivals.
 
-    ties: rivals that these records cannot tell from it, with their weights; stability: p-value of one size in all records.
-    separates: what tells it from its look-alikes. doubt: what speaks against it although the records prefer the plant with it;
-    empty where it is sure.
+    ties: rivals that these records cannot tell from it, with their weights; "a + b" are two effects together. stability: p-value
+    of one size in all records. separates: what tells it from its look-alikes. doubt: what speaks against it although the records
+    prefer the plant with it; empty where it is sure.
     """
 
     effect: str

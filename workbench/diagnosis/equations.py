@@ -9,8 +9,9 @@ the time, a bent reading of a flow and a duct that resists more look the same, a
 import numpy as np
 
 from workbench.diagnosis.fit import _inverse
+from workbench.diagnosis.policy import TIE
 from workbench.diagnosis.refit import Model
-from workbench.diagnosis.remainder import answers, trajectory, variables
+from workbench.diagnosis.remainder import answers, coefficients, trajectory, variables
 from workbench.records import record
 
 
@@ -29,7 +30,8 @@ class Law:
 def instead(model: Model, key: str) -> Law | None:
     """The law in one of the plant's equations that stands best for the effect `key`; None for a plant without laws.
 
-    A law over what the effect itself is a law of (a command, the speed of a shaft) is no other cause, but its form.
+    A law over what the effect itself is a law of (a command, the speed of a shaft) is no other cause, but its form. A coefficient
+    that changes with another variable counts only where it is better: there are so many that one of them ties by chance.
     """
     fit, predictor = model.fit, model.predictor
     unknowns, plant = fit.unknowns, predictor.plant
@@ -44,17 +46,22 @@ def instead(model: Model, key: str) -> Law | None:
     slope, information = fit.seen(e)[others] + prior, fit.information[np.ix_(others, others)]
     numbers = named.count(unknowns.records)
     found = []
-    made = variables([trajectory(model, i) for i in range(unknowns.records)])
+    trajectories = [trajectory(model, i) for i in range(unknowns.records)]
+    made = variables(trajectories)
     at = key.partition("@")[2]
     argument = plant.turning.get(at, at)
     over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
     for state in plant.laws:
-        for variable in over:
-            R = answers(model, ("rate", state), made[variable][1])
+        changing = coefficients(model, ("rate", state), trajectories, {name: made[name] for name in over})
+        changing = {name: basis for name, basis in changing.items() if argument not in name.split(" times ")}
+        for variable, (_, basis) in ({name: made[name] for name in over} | changing).items():
+            R = answers(model, ("rate", state), basis)
             JR = fit.seen(R)[others]
             A = np.block([[information, JR], [JR.T, sum(r.T @ r for r in R)]])
             b = np.concatenate([slope, sum(r.T @ own for r, own in zip(R, e, strict=True))])
             if np.isfinite(A).all():  # a push that the filter does not hold tells nothing
                 more = (JR.shape[1] - numbers) * float(np.log(sum(map(len, predictor.records))))
-                found.append(Law(state, variable, cost - float(b @ _inverse(A) @ b) - fit.cost + more))
+                gap = cost - float(b @ _inverse(A) @ b) - fit.cost + more
+                if variable not in changing or gap < -TIE:
+                    found.append(Law(state, variable, gap))
     return min(found, key=lambda law: law.gap, default=None)

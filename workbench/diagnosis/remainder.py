@@ -48,7 +48,7 @@ def remainder(model: Model, seed: int = 0) -> list[Left]:
     logs, draws, found = [], [], []
     total = sum(float(np.sum(e**2)) for e in fit.errors)
     for channel in _channels(model):
-        pairs = common | _coefficients(model, channel, trajectories, common)
+        pairs = common | coefficients(model, channel, trajectories, common)
         b, S, blocks, widths = _scores(model, channel, [basis for _, basis in pairs.values()])
         at = 0
         for name, width in zip(pairs, widths, strict=True):
@@ -118,7 +118,7 @@ def variables(trajectories) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
     return made
 
 
-def _coefficients(model: Model, channel: tuple[str, str], trajectories, common) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
+def coefficients(model: Model, channel: tuple[str, str], trajectories, common) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
     """What an input or the channel's own state does by a coefficient that grows or bends with another variable."""
     kind, name = channel
     if kind != "rate":

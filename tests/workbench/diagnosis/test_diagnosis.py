@@ -11,7 +11,7 @@ from studies.experiments import EXPERIMENTS
 from studies.jobs.recorded import Recorded
 from tests.workbench.diagnosis.cases import AXIS, ROBOT, axis_records, fitted, refitted, robot_records
 from workbench.data import Channel, Dataset
-from workbench.diagnosis import diagnosis
+from workbench.diagnosis import causes, findings, policy, rivals, search, sizes
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.equations import Law
@@ -68,7 +68,7 @@ def test_a_small_dry_friction_is_not_taken_for_a_law_that_includes_it():
     (cause,) = diagnose(ROBOT, records).causes
     assert cause.key == "coulomb@rail"
     assert cause.parameters["level"].low < 0.0022 < cause.parameters["level"].high
-    assert cause.evidence.p_value < diagnosis.ALPHA
+    assert cause.evidence.p_value < policy.ALPHA
 
 
 def test_a_shortlist_is_joined_by_special_cases_with_the_significance_that_brings_them_in_and_by_general_laws_with_their_own():
@@ -77,12 +77,12 @@ def test_a_shortlist_is_joined_by_special_cases_with_the_significance_that_bring
 
     found = [score("asymmetric-friction@rail", 0.002), score("stribeck@rail", 0.004), score("coulomb@rail", 0.02)]
     found += [score("offset@u", 0.03), score("friction-jump@rail", 0.5)]
-    short = diagnosis._with_family(ROBOT, found[:2], found)
+    short = search._with_family(ROBOT, found[:2], found)
     assert [(s.key, s.p_family) for s in short[2:]] == [("coulomb@rail", 0.002), ("friction-jump@rail", 0.5)]
-    assert diagnosis._with_family(ROBOT, found[:3], found) == [*found[:3], found[4]]
-    assert diagnosis._with_family(ROBOT, found[3:4], found) == found[3:4]
+    assert search._with_family(ROBOT, found[:3], found) == [*found[:3], found[4]]
+    assert search._with_family(ROBOT, found[3:4], found) == found[3:4]
     here, there = [score("asymmetric-friction@unwind", 0.001)], [score("coulomb@rewind", 0.02)]
-    assert diagnosis._with_family(WEB_WINDING, here, there) == here
+    assert search._with_family(WEB_WINDING, here, there) == here
 
 
 @pytest.mark.slow
@@ -145,8 +145,8 @@ def test_a_rounded_channel_does_not_hide_that_one_record_is_odd():
 @pytest.mark.parametrize("seed", [3, 4])
 def test_of_friction_and_a_tilt_each_is_found_and_the_tilt_ties_with_the_offset_that_it_cannot_be_told_from(seed, monkeypatch):
     """Friction that differs by direction comes first, for it is both in one, and must give way."""
-    greedy, path = [], diagnosis._Search.path
-    monkeypatch.setattr(diagnosis._Search, "path", lambda search, base: greedy.append(path(search, base)) or greedy[-1])
+    greedy, path = [], search.Search.path
+    monkeypatch.setattr(search.Search, "path", lambda search, base: greedy.append(path(search, base)) or greedy[-1])
     found = diagnose(ROBOT, robot_records(seed, {"coulomb@rail": {"level": 0.3}, "rail-tilt@rail": {"level": 0.3}}))
     assert greedy[0][1][0].key == "asymmetric-friction@rail"
     named = {c.key: c for c in found.causes}
@@ -235,30 +235,33 @@ def test_a_cause_is_not_sure_where_parameters_have_left_their_data_sheet(toleran
 @pytest.mark.parametrize(
     ("stable", "beyond", "worse", "harm", "left", "said"),
     [
-        (0.5, False, False, "", 0.0, ""),
-        (1e-5, False, False, "", 0.0, "size"),
-        (0.5, True, False, "", 0.0, "data sheet"),
-        (0.5, False, True, "", 0.0, "plant that came"),
-        (0.5, False, False, "h one-second: 1 before, 2 after [m]", 0.0, "raises an error"),
-        (0.5, False, False, "", 39.0, ""),
-        (0.5, False, False, "", 56.0, "14 % of what it explains"),
+        (0.5, False, False, "", {}, ""),
+        (1e-5, False, False, "", {}, "size"),
+        (0.5, True, False, "", {}, "data sheet"),
+        (0.5, False, True, "", {}, "plant that came"),
+        (0.5, False, False, "h one-second: 1 before, 2 after [m]", {}, "raises an error"),
+        (0.5, False, False, "", {"F": 39.0}, ""),
+        (0.5, False, False, "", {"F": 56.0}, "14 % of what it explains"),
+        (0.5, False, False, "", {"F": 39.0, "v": 19.0}, ""),
+        (0.5, False, False, "", {"F": 39.0, "v": 24.0}, "another form: what is left over v is 6 % of what it explains"),
     ],
 )
 def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, beyond, worse, harm, left, said):
-    doubt = diagnosis._doubt(SimpleNamespace(stable=stable, gain=400.0), beyond, worse, harm, left)
+    left = [SimpleNamespace(variable=name, statistic=value, p_family=1e-6) for name, value in left.items()]
+    doubt = causes.doubt_about(SimpleNamespace(stable=stable, gain=400.0), beyond, worse, harm, left, "v")
     assert said in doubt
     assert bool(doubt) is bool(said)
 
 
 def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
     steps = [SimpleNamespace(key=key, gain=gain) for key, gain in (("a@x", 40.0), ("b@x", 700.0), ("c@x", 900.0))]
-    doubts = diagnosis._doubts(steps, {"a@x": "", "b@x": "it raises an error", "c@x": ""})
+    doubts = causes.doubts_of(steps, {"a@x": "", "b@x": "it raises an error", "c@x": ""})
     assert doubts == {"a@x": "it was found beside b@x, which is not sure", "b@x": "it raises an error", "c@x": ""}
 
 
 @pytest.mark.parametrize(("gap", "said"), [(-11.0, "explains these records better"), (-9.0, "do not tell the two apart")])
 def test_a_law_that_explains_more_or_as_much_speaks_against_a_cause(gap, said):
-    assert diagnosis._against(Law("h", "u", gap)).endswith(said)
+    assert causes.said_against(Law("h", "u", gap)).endswith(said)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +270,7 @@ def test_a_law_that_explains_more_or_as_much_speaks_against_a_cause(gap, said):
      (0.05, -0.1, False), (0.1, 0.14, True), (0.1, 0.2, False), (1.0, -0.98, True), (2.0, -0.999, False)],
 )  # fmt: skip
 def test_a_parameter_is_beyond_where_its_share_of_nominal_is_far_outside_its_tolerance(tolerance, off, open_):
-    assert diagnosis._left_open(tolerance, float(np.log1p(off))) is open_
+    assert sizes._left_open(tolerance, float(np.log1p(off))) is open_
 
 
 @pytest.mark.parametrize(("gains", "only"), [((180.0, 190.0), True), ((180.0, 120.0), False), ((190.0,), False)])
@@ -276,7 +279,7 @@ def test_causes_that_explain_next_to_nothing_one_by_one_are_not_sure(gains, only
     steps = [
         SimpleNamespace(key=f"{i}@x", gain=gain, stable=0.5, after=SimpleNamespace(bic=800.0)) for i, gain in enumerate(gains)
     ]
-    assert diagnosis._only_together(SimpleNamespace(bic=1000.0), steps) is only
+    assert causes.only_together(SimpleNamespace(bic=1000.0), steps) is only
 
 
 @pytest.mark.parametrize(
@@ -284,7 +287,7 @@ def test_causes_that_explain_next_to_nothing_one_by_one_are_not_sure(gains, only
 )
 def test_a_cause_that_raises_an_error_for_sure_is_told(after, sure, harms):
     found = (Change("v", "one-second", "m/s", 1.0, after, sure), Change("v", "one-step", "m/s", 1.0, 0.9, True))
-    said = diagnosis._harm(SimpleNamespace(between=lambda before, after: found), SimpleNamespace(before=None, after=None))
+    said = causes.harm_of(SimpleNamespace(between=lambda before, after: found), SimpleNamespace(before=None, after=None))
     assert bool(said) is harms
     assert not harms or said.startswith("v one-second: 1 before")
 
@@ -303,40 +306,40 @@ def test_a_cause_that_raises_an_error_for_sure_is_told(after, sure, harms):
 def test_what_is_left_beside_a_cause_counts_by_its_share_of_what_the_cause_explains(statistic, p, stable, finding):
     left = [SimpleNamespace(p_family=p, statistic=statistic)]
     model = SimpleNamespace(predictor=SimpleNamespace(samples=1000))
-    assert diagnosis._finding([SimpleNamespace(gain=1000.0, stable=stable)], left, model) is finding
+    assert findings._finding([SimpleNamespace(gain=1000.0, stable=stable)], left, model) is finding
 
 
 @pytest.mark.parametrize(("gain", "finding"), [(30.0, Finding.NAMED), (60.0, Finding.INCOMPLETE)])
 def test_an_odd_record_counts_by_its_share_of_what_the_causes_explain(gain, finding):
     model = SimpleNamespace(predictor=SimpleNamespace(samples=1000))
     step = SimpleNamespace(gain=1000.0, stable=0.5, after=model)
-    local = diagnosis.Local("sensor-gain@y", gain, ("binary 2",))
-    found = diagnosis._Found(model, (step,), (SimpleNamespace(p_family=1.0, statistic=0.1),), (), None, np.inf, local)
+    local = search.Local("sensor-gain@y", gain, ("binary 2",))
+    found = findings.Found(model, (step,), (SimpleNamespace(p_family=1.0, statistic=0.1),), (), None, np.inf, local)
     assert found.finding is finding
 
 
 @pytest.mark.parametrize(
     ("gain", "why", "named", "finding"),
     [
-        (30.0, diagnosis.NONE, True, Finding.NAMED),
-        (60.0, diagnosis.NONE, True, Finding.INCOMPLETE),
-        (60.0, diagnosis.TRIFLE, True, Finding.NAMED),
-        (60.0, diagnosis.NONE, False, Finding.UNKNOWN),
-        (60.0, diagnosis.TRIFLE, False, Finding.UNKNOWN),  # what is the only one is never asked for a share
+        (30.0, findings.NONE, True, Finding.NAMED),
+        (60.0, findings.NONE, True, Finding.INCOMPLETE),
+        (60.0, findings.TRIFLE, True, Finding.NAMED),
+        (60.0, findings.NONE, False, Finding.UNKNOWN),
+        (60.0, findings.TRIFLE, False, Finding.UNKNOWN),  # what is the only one is never asked for a share
     ],
 )
 def test_what_the_referee_refuses_takes_nothing_from_a_name_where_it_does_not_matter(gain, why, named, finding):
     model = SimpleNamespace(predictor=SimpleNamespace(samples=1000))
     steps = (SimpleNamespace(gain=1000.0, stable=0.5, after=model),) if named else ()
     left = (SimpleNamespace(p_family=1.0, statistic=0.1),)
-    refused = (diagnosis.Refused("sensor-resonance@y", why, gain),)
-    assert diagnosis._Found(model, steps, left, (), None, np.inf, refused=refused).finding is finding
+    refused = (findings.Refused("sensor-resonance@y", why, gain),)
+    assert findings.Found(model, steps, left, (), None, np.inf, refused=refused).finding is finding
 
 
 @pytest.mark.parametrize(("statistic", "p", "told"), [(40.0, 1e-6, True), (40.0, 1e-3, False), (0.3, 1e-6, False)])
 def test_what_shows_clearly_but_has_no_size_stands_beside_what_is_named(statistic, p, told):
     shown = [Score("backlash@y", None, (), statistic, p, p), Score("offset@u", None, (), 5.0, 0.5, 0.5)]
-    found = diagnosis._unresolved(shown, SimpleNamespace(predictor=SimpleNamespace(samples=1000)))
+    found = search._unresolved(shown, SimpleNamespace(predictor=SimpleNamespace(samples=1000)))
     assert (found is not None) is told
     assert not told or (found.key, found.statistic) == ("backlash@y", statistic)
 
@@ -344,10 +347,10 @@ def test_what_shows_clearly_but_has_no_size_stands_beside_what_is_named(statisti
 def test_what_ties_with_a_cause_is_looked_at_again_where_what_stood_beside_it_was_dropped(monkeypatch):
     """And what was dropped is the first that the others are compared with."""
     looked = []
-    steps = [diagnosis.Step(key, None, None, None, {"d": np.inf}, 0.0, 1.0) for key in "abc"]
-    monkeypatch.setattr(diagnosis, "_swapped", lambda found, *_: looked.append({s.key: s.rivals for s in found}) or found)
-    monkeypatch.setattr(diagnosis, "_pruned", lambda base, found, _: found[: max(len(found) - 1, 1)])
-    (kept,) = diagnosis._kept(None, steps, None, np.inf)
+    steps = [search.Step(key, None, None, None, {"d": np.inf}, 0.0, 1.0) for key in "abc"]
+    monkeypatch.setattr(search, "_swapped", lambda found, *_: looked.append({s.key: s.rivals for s in found}) or found)
+    monkeypatch.setattr(search, "pruned", lambda base, found, _: found[: max(len(found) - 1, 1)])
+    (kept,) = search.kept(None, steps, None, np.inf)
     assert kept.key == "a"
     assert [list(found) for found in looked] == [["a", "b", "c"], ["a", "b"], ["a"]]
     assert looked[-1]["a"] == {"d": np.inf, "c": 0.0, "b": 0.0}
@@ -361,16 +364,16 @@ def test_a_cause_chosen_by_a_fit_that_was_stuck_is_compared_with_its_rivals_agai
         return SimpleNamespace(predictor=SimpleNamespace(plant=AXIS), bic=bic, deviance=bic, keys=keys, sound=True)
 
     less, led = {"first": model(2000.0), "second": model(freed, "first")}, model(297.0 if again else 999.0, "first", "second")
-    steps = {(): diagnosis.Step("first", None, model(500.0, "first"), None, {}, 0.0, 1.0)}
+    steps = {(): search.Step("first", None, model(500.0, "first"), None, {}, 0.0, 1.0)}
     steps[("first",)] = replace(steps[()], key="second", after=led)
-    monkeypatch.setattr(diagnosis._Search, "screened", lambda self, m: [Score("any", None, (), 9.0, 0.0, 0.0)])
-    monkeypatch.setattr(diagnosis, "_step", lambda m, *_: steps.pop(m.keys, None))
-    monkeypatch.setattr(diagnosis, "_unresolved", lambda *_: None)
-    monkeypatch.setattr(diagnosis._Lesser, "of", lambda self, m, key: less[key])
-    monkeypatch.setattr(diagnosis, "remainder", lambda m: [])
+    monkeypatch.setattr(search.Search, "screened", lambda self, m: [Score("any", None, (), 9.0, 0.0, 0.0)])
+    monkeypatch.setattr(search, "_step", lambda m, *_: steps.pop(m.keys, None))
+    monkeypatch.setattr(search, "_unresolved", lambda *_: None)
+    monkeypatch.setattr(search.Lesser, "of", lambda self, m, key: less[key])
+    monkeypatch.setattr(findings, "remainder", lambda m: [])
     compared = []
-    monkeypatch.setattr(diagnosis, "_kept", lambda base, found, *_: compared.append(found[-1].after.bic) or found)
-    found = diagnosis._searched(model(2000.0), np.inf, lambda _: None)
+    monkeypatch.setattr(findings, "kept", lambda base, found, *_: compared.append(found[-1].after.bic) or found)
+    found = findings.searched(model(2000.0), np.inf, lambda _: None)
     assert [s.key for s in found.steps] == ["first"]
     assert compared == ([freed] if again else [])
 
@@ -379,23 +382,23 @@ def test_a_model_freed_of_an_effect_is_no_worse_than_one_without_it_that_was_met
     """Freed of the effect it may be lost, and whatever it is compared with would look like a gain."""
     model = fitted(robot_records(3, {"coulomb@rail": {"level": 0.3}}))
     after = refitted(model, "coulomb@rail", [0.3])
-    lesser = diagnosis._Lesser(np.zeros(len(ROBOT.slots)))
+    lesser = search.Lesser(np.zeros(len(ROBOT.slots)))
     lesser.met.append(model)
     assert lesser.of(after, "coulomb@rail").deviance <= model.deviance
     assert lesser.of(after, "coulomb@rail") is lesser.of(after, "coulomb@rail")
-    worse = diagnosis._Lesser(np.zeros(len(ROBOT.slots)))
+    worse = search.Lesser(np.zeros(len(ROBOT.slots)))
     worse.met.append(after)  # holds the effect itself
     assert worse.of(after, "coulomb@rail").deviance > after.deviance + 100.0
 
 
 def test_a_share_of_the_gain_is_a_tie_between_forms_of_one_friction_only():
     """Laws of friction are idealised; a lag is a lag, and more data must be able to tell it from another."""
-    tie = diagnosis._reach
+    tie = rivals.reach
     assert tie(ROBOT, "stribeck@rail", "quadratic-friction@rail", 1000.0) == 100.0
-    assert tie(ROBOT, "stribeck@rail", "quadratic-friction@rail", 50.0) == diagnosis.TIE
-    assert tie(ROBOT, "sensor-lag@v", "sensor-resonance@v", 1000.0) == diagnosis.TIE
-    assert tie(ROBOT, "coulomb@rail", "saturation@u", 1000.0) == diagnosis.TIE
-    assert tie(ROBOT, "coulomb@rail", "asymmetric-friction@rail", 1000.0) == diagnosis.TIE  # the one is a case of the other
+    assert tie(ROBOT, "stribeck@rail", "quadratic-friction@rail", 50.0) == policy.TIE
+    assert tie(ROBOT, "sensor-lag@v", "sensor-resonance@v", 1000.0) == policy.TIE
+    assert tie(ROBOT, "coulomb@rail", "saturation@u", 1000.0) == policy.TIE
+    assert tie(ROBOT, "coulomb@rail", "asymmetric-friction@rail", 1000.0) == policy.TIE  # the one is a case of the other
 
 
 @pytest.mark.slow
@@ -428,7 +431,7 @@ def test_what_cannot_be_told_apart_is_said_to_tie():
 def test_a_static_error_of_a_sensor_is_said_to_be_that_of_its_equation_where_the_output_is_computed(measured, computed):
     plant = replace(AXIS, outputs=(Channel("y", "", "output"),), measure=lambda x, p: {"y": measured(x, p)}, noise={})
     assert plant.computed == ({"y"} if computed else set())
-    said = {slot.effect.id: diagnosis._sentence(plant, slot) for slot in plant.slots if slot.place == "y"}
+    said = {slot.effect.id: causes._sentence(plant, slot) for slot in plant.slots if slot.place == "y"}
     for effect in ("sensor-gain", "sensor-bias", "sensor-nonlinearity"):
         assert ("equation of y" in said[effect]) is computed
     assert "equation" not in said["sensor-lag"] + said["backlash"]

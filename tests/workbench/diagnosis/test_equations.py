@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.workbench.diagnosis.cases import AXIS, axis_records, fitted, refitted
+from tests.workbench.diagnosis.cases import AXIS, axis_by_hand, axis_records, fitted, refitted, steps
 from tests.workbench.diagnosis.test_pushes import ROD
 from workbench import Parameter, Plant
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnosis import diagnosis
+from workbench.diagnosis import causes
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.equations import Law, instead
+from workbench.diagnosis.policy import TIE
 from workbench.diagnosis.predictor import Point, predictor
 from workbench.diagnosis.remainder import answers, trajectory, variables
 
@@ -176,7 +177,7 @@ def test_what_a_law_would_do_to_the_errors_is_what_the_plant_with_it_does(state)
 def test_a_law_speaks_against_any_cause_that_it_outdoes_and_against_a_sensor_s_error_that_it_matches(
     monkeypatch, effects, gap, finding, said
 ):
-    monkeypatch.setattr(diagnosis, "instead", lambda model, key: Law("v", "F", gap))
+    monkeypatch.setattr(causes, "instead", lambda model, key: Law("v", "F", gap))
     found = diagnose(AXIS, axis_records(5, effects, samples=600), axis_records(6, effects, samples=600))
     assert found.finding is finding
     assert [c.key for c in found.causes] == list(effects)
@@ -189,3 +190,16 @@ def test_a_law_over_what_the_effect_is_a_law_of_is_its_form_and_no_rival(key):
     model = refitted(fitted(axis_records(5, {"coulomb@slide": {"level": 20.0}}, samples=600)), key, [5.0])
     law = instead(model, key)
     assert law.variable != {"coulomb@slide": "v", "dead-zone@F": "F"}[key]
+
+
+def test_a_coefficient_that_changes_with_another_variable_counts_only_where_it_is_better():
+    """A rail that binds towards its ends is told; beside plain friction one of many coefficients never ties by chance."""
+    forces = {seed: steps(600, 300.0, seed) for seed in (3, 4)}
+    binding = Dataset(
+        tuple(axis_by_hand(lambda k, y, F=F: F[k], seed, extra=lambda q, v: -400.0 * q**2 * v) for seed, F in forces.items())
+    )
+    law = instead(refitted(fitted(binding), "heating@F", [0.05]), "heating@F")
+    assert (law.state, law.variable) == ("v", "v times q")
+    assert law.gap < -TIE
+    plain = fitted(axis_records(5, {"coulomb@slide": {"level": 20.0}}, samples=600))
+    assert " times " not in instead(refitted(plain, "coulomb@slide", [20.0]), "coulomb@slide").variable

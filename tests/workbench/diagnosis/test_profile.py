@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from tests.workbench.diagnosis.cases import ROBOT, axis_records, fitted, refitted, robot_records, screened
-from workbench.diagnosis.diagnosis import _sizes, diagnose
+from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.profile import LIKELY, Profile, profile
 from workbench.diagnosis.refit import refit, settled
 from workbench.diagnosis.screen import small_sizes
+from workbench.diagnosis.sizes import sizes_of
 
 
 def test_the_interval_of_a_parabola_is_the_normal_one_and_grows_with_the_root_of_the_inflation():
@@ -37,7 +38,7 @@ def test_the_date_of_a_jump_is_found_between_the_dates_that_are_screened():
         model = fitted(records)
         sizes = small_sizes(model.predictor, model.fit)
         (score,) = screened(model, ["friction-jump@rail"])
-        found = _sizes(settled(refit(model, score, sizes), sizes), "friction-jump@rail")["time"]
+        found = sizes_of(settled(refit(model, score, sizes), sizes), "friction-jump@rail")["time"]
         assert found.value == pytest.approx(time, abs=0.25)
         assert found.high - found.low < 1.5
         hits += found.low <= time <= found.high

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.workbench.diagnosis.drive import DRIVE, records
-from workbench.diagnosis import diagnosis
+from workbench.diagnosis import findings
 from workbench.diagnosis.calibrate import calibrate, gains, trajectories
-from workbench.diagnosis.diagnosis import _objection
+from workbench.diagnosis.findings import _objection
 from workbench.diagnosis.gains import Held, Score
 from workbench.diagnosis.referee import Change, changes, harms, helps, worse
 
@@ -106,8 +106,8 @@ class Told:
 
 @pytest.fixture
 def size_known(monkeypatch):
-    monkeypatch.setattr(diagnosis, "_none", lambda step: step.none)
-    monkeypatch.setattr(diagnosis, "_helps_free_runs", lambda step, judge: step.lasts)
+    monkeypatch.setattr(findings, "_none", lambda step: step.none)
+    monkeypatch.setattr(findings, "_helps_free_runs", lambda step, judge: step.lasts)
 
 
 def step(gain: float, none: bool = False, lasts: bool = False, far: float = 0.5) -> SimpleNamespace:

@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 from tests.workbench.diagnosis.cases import AXIS, axis_by_hand, axis_records, fitted, robot_records, steps
 from workbench.data import Dataset
-from workbench.diagnosis.diagnosis import ALPHA
+from workbench.diagnosis.policy import ALPHA
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import BUMPS, Left, label, remainder
 

@@ -8,9 +8,10 @@ import pytest
 from tests.workbench.diagnosis.cases import AXIS, READING, ROBOT, axis_by_hand, axis_records, fitted, robot_records, screened
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Finding
-from workbench.diagnosis.diagnosis import ALPHA, WORTH, diagnose
+from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.fit import gauss_newton, term
 from workbench.diagnosis.lags import timed
+from workbench.diagnosis.policy import ALPHA, WORTH
 from workbench.diagnosis.predictor import Predictor, predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.diagnosis.refit import Model, from_special, refit, settled

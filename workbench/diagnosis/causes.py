@@ -1,0 +1,226 @@
+"""What is said of the causes that were found: sizes, evidence, ties, doubts, limits, and the next experiment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.diagnosis.answer import ROUNDED, Cause, Estimate, Evidence, Finding, Limit, NextExperiment, Remainder, Untestable
+from workbench.diagnosis.equations import Law, instead
+from workbench.diagnosis.experiments import Template, deciding
+from workbench.diagnosis.findings import Found, strongest_of
+from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, LAWS, LEFT_OVER, ONE_STEP, TIE
+from workbench.diagnosis.referee import Judge, harms
+from workbench.diagnosis.refit import Model
+from workbench.diagnosis.remainder import Left
+from workbench.diagnosis.rivals import reach
+from workbench.diagnosis.rounding import Rounded, limit
+from workbench.diagnosis.screen import Signature
+from workbench.diagnosis.search import Step, effect_and_place, measurable
+from workbench.diagnosis.sizes import sizes_of
+from workbench.physics.plant import Plant, Slot
+
+TOGETHER = "without the other causes it explains next to nothing: together they may stand for something else"
+
+
+def cause_of(plant: Plant, step: Step, model: Model, gains) -> Cause:
+    effect, place = step.key.split("@")
+    slot = next(s for s in plant.slots if s.key == step.key)
+    within = {key: reach(plant, step.key, key, step.gain) for key in step.rivals}
+    near = {key: gap * TIE / within[key] for key, gap in step.rivals.items() if gap < within[key]}
+    near |= {together: gap for together, gap in step.pairs.items() if gap < TIE}
+    weights = {key: float(np.exp(-0.5 * max(gap, 0.0))) for key, gap in near.items()}
+    total = 1.0 + sum(weights.values())
+    return Cause(
+        effect=effect,
+        place=place,
+        sentence=_sentence(plant, slot),
+        parameters=_spanning(sizes_of(model, step.key), step.others),
+        gains=gains,
+        evidence=Evidence(step.gain, _significance(step), 1.0 / total),
+        ties={key: w / total for key, w in sorted(weights.items(), key=lambda item: -item[1])},
+        stability=step.stable,
+        separates=slot.effect.separates,
+    )
+
+
+def _significance(step: Step) -> float:
+    """The p-value of a cause's score; where it was tried without one, the chance that a ratio of likelihoods has at most."""
+    p = step.score.p_family
+    return p if p < ALPHA else min(p, float(np.exp(-0.5 * step.gain)))
+
+
+def _sentence(plant: Plant, slot: Slot) -> str:
+    """What a cause is; a static error of a sensor is not told from one of the equation that its output is computed by."""
+    said = slot.effect.sentence.format(place=slot.place)
+    either = slot.effect.family == "sensor" and not slot.effect.memories and slot.place in plant.computed
+    return f"{said} Or the plant's own equation of {slot.place} is off: records do not tell the two apart." if either else said
+
+
+def harm_of(judge: Judge, step: Step) -> str:
+    """The error one step or one second ahead that a cause raises most, by more than noise and a share of HARM; empty if none."""
+    found = [c for c in harms(judge.between(step.before, step.after)) if c.share < -HARM]
+    return str(min(found, key=lambda c: c.share)) if found else ""
+
+
+def doubted(
+    found: Found,
+    finding: Finding,
+    laws: Mapping[str, Law],
+    harm: Mapping[str, str],
+    beyond: Sequence[str],
+    objections: Sequence[str],
+    together: bool,
+) -> tuple[Finding, dict[str, str]]:
+    """The finding, incomplete where anything speaks against a cause that was named, and the doubts about each cause.
+
+    laws, harm: what `law_instead` and `harm_of` say of a cause, by key. beyond: parameters that left their tolerance. objections:
+    of the referee against the extended plant. together: whether causes explain next to nothing without each other.
+    """
+    steps = found.steps
+    better = any(laws[s.key].gap < -TIE for s in steps if s.key in laws)
+    if finding is Finding.NAMED and steps and (beyond or objections or together or better or any(harm.values())):
+        finding = Finding.INCOMPLETE
+    against = {s.key: said_against(laws[s.key]) if s.key in laws else "" for s in steps}
+    if finding is Finding.INCOMPLETE and together:
+        against = {s.key: TOGETHER for s in steps}
+    elif finding is Finding.INCOMPLETE:
+        turning = found.base.predictor.plant.turning
+        for s in steps:
+            place = effect_and_place(s.key)[1]
+            doubt = doubt_about(s, bool(beyond), bool(objections), harm[s.key], found.left, turning.get(place, place))
+            against[s.key] = doubt or against[s.key]
+    return finding, doubts_of(steps, against)
+
+
+def only_together(base: Model, steps: Sequence[Step]) -> bool:
+    """Whether causes explain next to nothing where one of them is left out: two wrong ones can make up for what has no name."""
+    if len(steps) < 2:
+        return False
+    whole = base.bic - steps[-1].after.bic
+    return all(whole - s.gain < ALONE * whole for s in steps)
+
+
+def doubts_of(steps: Sequence[Step], against: Mapping[str, str]) -> dict[str, str]:
+    """What speaks against each cause, empty where nothing does: also that it was found beside one that is not sure."""
+    doubts, unsure = {}, ""
+    for s in sorted(steps, key=lambda s: -s.gain):
+        doubts[s.key] = against[s.key] or (f"it was found beside {unsure}, which is not sure" if unsure else "")
+        unsure = unsure or (s.key if against[s.key] else "")
+    return doubts
+
+
+def doubt_about(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: Sequence[Left], argument: str = "") -> str:
+    """What speaks against a cause of an incomplete answer, empty where nothing does.
+
+    beyond: parameters left their tolerance. left: what is left without a name; over the `argument` of the cause's own law it is
+    that law in another form.
+    """
+    if step.stable < LEFT_OVER:
+        return "its size differs between the records"
+    if worse_than_given:
+        return "the extended plant is worse on records that it has not seen than the plant that came"
+    if harm:
+        return f"it raises an error on records that it has not seen, {harm}"
+    if beyond:
+        return "it needs parameters far from their data sheet"
+    strongest, form = strongest_of(left), strongest_of([x for x in left if x.variable == argument])
+    if strongest > BESIDE * step.gain:  # the errors of the model's form are as large, and what has no name may be all there is
+        return f"what is left without a name is {100 * strongest / step.gain:.0f} % of what it explains"
+    if form > LAWS * step.gain:
+        return f"its law has another form: what is left over {argument} is {100 * form / step.gain:.0f} % of what it explains"
+    return ""
+
+
+def law_instead(step: Step, model: Model) -> Law | None:
+    """The law in one of the plant's own equations that explains the records as well as a cause; None where none does.
+
+    A static error of a sensor stands far from where such a law acts: there one that may explain them as well is as likely. The
+    law has taken one step of its fit only, at noise levels that suit the cause.
+    """
+    effect = next(slot.effect for slot in model.predictor.plant.slots if slot.key == step.key)
+    static = effect.family == "sensor" and not effect.memories
+    law = instead(model, step.key)
+    return law if law and law.gap < (max(TIE, ONE_STEP * step.gain) if static else TIE) else None
+
+
+def said_against(law: Law) -> str:
+    """What a law in the plant's own equations says against a cause."""
+    return f"{law}: {'that explains these records better' if law.gap < -TIE else 'these records do not tell the two apart'}"
+
+
+def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:
+    """Sizes whose first, a time, has an interval that holds the other times too."""
+    name, found = next(iter(sizes.items()))
+    return sizes | {name: replace(found, low=min(found.low, *others), high=max(found.high, *others))} if others else sizes
+
+
+def exchanges(steps: Sequence[Step]) -> list[str]:
+    """A sentence for every time that may have changed places with a time constant of the machine."""
+    return [
+        f"{s.key}: {' or '.join(f'{other:.3g} s' for other in s.others)} explains these records as well, with other parameters "
+        "of the machine: its time and the machine's can change places, and only a parameter that is known better decides"
+        for s in steps
+        if s.others
+    ]
+
+
+def rounded_cause(plant: Plant, r: Rounded) -> Cause:
+    """A rounded channel as a cause: it gains nothing in prediction, it says how good a prediction can be."""
+    slot = next(s for s in plant.slots if s.effect.id == ROUNDED and s.place == r.channel)
+    step = Estimate(r.step, r.step * (1.0 - DIGITS), r.step * (1.0 + DIGITS), r.unit)
+    evidence = Evidence(float(r.samples), 0.0, 1.0)
+    return Cause(ROUNDED, r.channel, slot.effect.sentence.format(place=r.channel), {slot.parameter.name: step}, (), evidence)
+
+
+def rounding_limits(base: Model) -> tuple[Limit, ...]:
+    outputs = base.predictor.plant.outputs
+    return tuple(
+        Limit(ROUNDED, channel.name, limit(base.predictor, j), channel.unit)
+        for j, channel in enumerate(outputs)
+        if base.predictor.measured[j]
+    )
+
+
+def next_experiment(steps: Sequence[Step], templates: Sequence[Template]) -> NextExperiment | None:
+    """The experiment that decides the closest tie; None where nothing ties."""
+    for step in steps:
+        if step.rival:
+            slot = next(s for s in step.after.predictor.plant.slots if s.key == step.key)
+            return deciding(step.after, step.rival.model, (step.key, step.rival.key), templates, slot.effect.separates)
+    return None
+
+
+def limits_of(plant: Plant, tested: Sequence[Signature]) -> tuple[Limit, ...]:
+    return tuple(
+        Limit(*effect_and_place(s.variant.key), float(s.limit), plant.slots[s.variant.sizes[0]].parameter.unit)
+        for s in tested
+        if np.isfinite(s.limit) and not _hidden(s)
+    )
+
+
+def _hidden(s: Signature) -> bool:
+    """Whether no size that can be meant would show: beyond the effect's bounds, or without any response."""
+    return not np.isfinite(s.limit) or np.trace(s.S) < 1e-12 or (not np.isnan(s.variant.finite) and s.S[0, 0] < 1.0)
+
+
+def untestable_effects(model: Model, tested: Sequence[Signature]) -> tuple[Untestable, ...]:
+    plant = model.predictor.plant
+    shown = {s.variant.key for s in tested if not _hidden(s)}
+    found = []
+    for key in dict.fromkeys(slot.key for slot in plant.slots):
+        if key in shown:
+            continue
+        why = "nothing that it would change was excited in these records"
+        if key.startswith(f"{ROUNDED}@"):
+            continue
+        if not measurable(model, key):
+            why = "this channel was not measured"
+        found.append(Untestable(*effect_and_place(key), why))
+    return tuple(found)
+
+
+def remainder_said(x: Left, whole: float) -> Remainder:
+    share = x.statistic / whole
+    sentence = f"{x.channel} holds something that varies with {x.variable}: {100 * share:.2g} % of the squared errors"
+    return Remainder(x.channel, x.variable, x.p_family, share, sentence, x.grid, x.curve)

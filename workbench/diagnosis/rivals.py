@@ -1,0 +1,98 @@
+"""Rivals of a cause: which other effects these records cannot tell from it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.diagnosis.confirm import left_out
+from workbench.diagnosis.policy import ASKED_FOR, IDEAL, KNOWN, TIE, UNSEEN
+from workbench.diagnosis.refit import Model
+from workbench.diagnosis.screen import Score
+from workbench.physics.effects.effect import Domain
+from workbench.physics.plant import Plant
+from workbench.records import record
+
+
+@record
+class Rival:
+    """A model in which another effect stands in the place of a cause."""
+
+    key: str
+    model: Model
+
+
+def best_first(tried: Sequence[tuple[Model, Score]]) -> list[tuple[Model, Score]]:
+    """Models with the effects of scores by BIC, of each effect the best."""
+    best = {s.key: (m, s) for m, s in sorted(tried, key=lambda pair: -pair[0].bic)}
+    return sorted(best.values(), key=lambda pair: pair[0].bic)
+
+
+def reach(plant: Plant, key: str, rival: str, gain: float) -> float:
+    """BIC within which a rival ties with a cause of this gain; between two forms of one friction a share of the gain."""
+    one, other = (next(slot for slot in plant.slots if slot.key == k) for k in (key, rival))
+    forms = one.place == other.place and {one.effect.domain, other.effect.domain} <= {Domain.SPEED, Domain.LOAD}
+    # between a law and a special case of it there is no question of form
+    exact = not forms or is_case_of(plant, key, rival) or is_case_of(plant, rival, key)
+    return TIE if exact else max(TIE, IDEAL * gain)
+
+
+def rivals_of(before: Model, named: Model, key: str, tried: Sequence[tuple[Model, Score]]) -> list[tuple[Model, Score]]:
+    """Those of the models that may be the truth as well: what left-out records speak against by a hair is among them."""
+    found = []
+    for m, s in tried:
+        if s.key == key or _only_more(named, key, m, s.key):
+            continue
+        elsewhere = left_out(before, m)
+        if elsewhere.holds or (m.bic - named.bic > -TIE and elsewhere.total > -2.0 * elsewhere.error):
+            found.append((m, s))
+    return sorted(found, key=lambda pair: pair[0].bic)
+
+
+def closest_rival(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> Rival | None:
+    """The best of the rivals that tie."""
+    plant, gain = before.predictor.plant, before.bic - named.bic
+    near = [Rival(s.key, m) for m, s in tying if gap_between(named, key, m, s.key) < reach(plant, key, s.key, gain)]
+    return near[0] if near else None
+
+
+def gap_between(named: Model, key: str, other: Model, other_key: str) -> float:
+    """BIC by which a rival is worse; one that includes the named cause cannot be worse than by its further numbers.
+
+    Only numbers that the records tell are counted: that nothing ran backwards is no evidence against a friction of its own there.
+    """
+    samples = sum(len(r) for r in named.predictor.records)
+    more = (_seen(other, other_key) - _seen(named, key)) * float(np.log(samples))
+    gap = other.deviance - named.deviance + more
+    return min(gap, max(more, 0.0)) if is_case_of(named.predictor.plant, key, other_key) else gap
+
+
+def _seen(model: Model, key: str) -> int:
+    """How many numbers of an effect the records tell from none, or from what was believed before."""
+    sizes, deviation = _numbers(model, key)
+    scale = np.where(np.arange(len(deviation)) < len(sizes), float(np.abs(sizes).max()), 1.0)
+    return int(np.sum(deviation < UNSEEN * scale))
+
+
+def is_case_of(plant: Plant, key: str, other_key: str) -> bool:
+    """Whether an effect is a special case of another one at its place."""
+    slots = {slot.key: slot for slot in plant.slots}
+    own, other = slots[key], slots[other_key]
+    return own.place == other.place and own.effect.id in other.effect.includes
+
+
+def _only_more(named: Model, key: str, other: Model, other_key: str) -> bool:
+    """Whether a rival is the named cause with numbers more that the records know and do not ask for: the same, no other cause."""
+    if not is_case_of(named.predictor.plant, key, other_key):
+        return False
+    (size, _), (sizes, deviation) = _numbers(named, key), _numbers(other, other_key)
+    known = bool(
+        np.all(deviation[: len(sizes)] < KNOWN * np.abs(size).max())
+    )  # friction of a direction in which nothing moved is not
+    return known and named.deviance - other.deviance < ASKED_FOR * (other.numbers - named.numbers)
+
+
+def _numbers(model: Model, key: str) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of an effect, and standard deviations of all its numbers: of these first, then of its fitted shapes and rotations."""
+    fit = model.fit
+    t, own = next((t, own) for t, own in zip(fit.unknowns.terms, fit.unknowns.places, strict=True) if t.key == key)
+    return fit.z[own][: len(t.sizes)], np.sqrt(np.diag(fit.covariance)[own])
