@@ -96,12 +96,13 @@ class Ranges(NamedTuple):
     duration: float  # s
     radian: float  # 1 where shafts turn, m/rad where bodies slide
     orders: int  # highest order of a ripple
+    least: int = 2  # lowest order of a ripple
     fading: tuple[float, float] = (3.0, 30.0)  # rad/s, at which friction of low speed is gone
 
 
 def shapes(effect: str, ranges: Ranges, size: float, random: np.random.Generator) -> dict[str, float]:
     """The other parameters of an effect, drawn; the same number of draws for each, so that a seed keeps its meaning."""
-    where, angle, order = random.random(), random.uniform(0.0, 2 * np.pi), random.integers(2, ranges.orders + 1)
+    where, angle, order = random.random(), random.uniform(0.0, 2 * np.pi), random.integers(ranges.least, ranges.orders + 1)
 
     def between(low: float, high: float) -> float:
         return float(low * (high / low) ** where)

@@ -26,6 +26,7 @@ RECORDS, HELD_OUT = 3, 2
 AT_ONCE = 4  # effects whose limits are found together
 RIVAL = 0.1  # of its largest size, at which an effect is taken to be linear
 TRIES, SHRINK = 8, 0.6
+WAVES = 2.0  # that a ripple has in the records at least
 FADING = (0.1, 1.0)  # of the fastest speed in the records: where friction of low speed is gone
 OUTSIDE = "outside"  # the place of physics that the catalogue does not have
 PHASED = {"imbalance", "torque-ripple", "periodic-tension"}
@@ -134,8 +135,8 @@ def setting(machine: Machine, random: np.random.Generator) -> Setting:
     seen = tuple(range(ny))
     if ny > 1 and random.random() < 0.25:
         seen = tuple(sorted(random.choice(ny, ny - 1, replace=False).tolist()))
-        if lab.closed and not lab.open and not set(lab.tracked) <= set(seen):
-            seen = tuple(range(ny))  # what is logged is at least what the loop follows
+        if lab.closed and not lab.open and not {*lab.tracked, *(q.output for q in lab.loops)} <= set(seen):
+            seen = tuple(range(ny))  # what is logged is at least what the loop reads
     closed = bool(lab.loops) and (not lab.open or random.random() < 0.5)
     return Setting(
         machine=machine,
@@ -308,17 +309,28 @@ def largest(s: Setting, log: Log, key: str) -> float:
     }[effect]  # fmt: skip
 
 
+def _ranges(s: Setting, log: Log, place: str) -> Ranges:
+    """Shapes that these records can tell from others.
+
+    What fades at speeds that they do not reach is plain dry friction in them; a ripple that does not come back is none.
+    """
+    ranges = Ranges(s.samples * s.dt, 1.0, 12)
+    own = s.machine.places.get(place)
+    if own is None:
+        return ranges
+    speed = log.states[:, own.speed] / own.radian
+    fast, turns = float(np.quantile(np.abs(speed), 0.95)), np.ptp(np.cumsum(speed, axis=0), axis=0).max() * s.dt / (2.0 * np.pi)
+    least = max(2, int(np.ceil(WAVES / turns)))
+    return ranges._replace(radian=own.radian, fading=(FADING[0] * fast, FADING[1] * fast), least=min(least, ranges.orders))
+
+
 def _hidden(bench: _Bench, log: Log, key: str, size: float, multiple: float, random: np.random.Generator) -> Hidden:
     """An effect of a size, with its shapes drawn; the size of a saturation is what it clips."""
     effect, _, place = key.partition("@")
     s, size_now = bench.s, size
     if effect == "saturation":
         size_now = float(np.abs(log.commands[:, s.machine.plant.input_names.index(place)]).max()) - size
-    ranges = Ranges(s.samples * s.dt, 1.0, 12)
-    if own := s.machine.places.get(place):
-        fast = float(np.quantile(np.abs(log.states[:, own.speed]), 0.95)) / own.radian
-        # what fades at speeds that these records do not reach is plain dry friction in them
-        ranges = ranges._replace(radian=own.radian, fading=(FADING[0] * fast, FADING[1] * fast))
+    ranges = _ranges(s, log, place)
     return Hidden(effect, place, {SIZE[effect][0]: size_now} | shapes(effect, ranges, size, random), multiple)
 
 
@@ -372,7 +384,14 @@ def _limits(bench: _Bench, log: Log, keys: list[str], seed: int) -> dict[str, tu
     with np.errstate(all="ignore"):
         found = limits(s.machine, s.numbers, log, s.dt, tried, s.seen, rivals)
     found |= {key: _rounding(s, key) / largest(s, log, key) for key in keys if key.startswith("quantisation@")}
+    found |= {key: np.inf for key in keys if key.startswith("torque-ripple@") and _is_bent(s, log, key.partition("@")[2])}
     return {key: (found[key], makers[key]) for key in keys}
+
+
+def _is_bent(s: Setting, log: Log, place: str) -> bool:
+    """Whether not even the highest order comes back in the records: what is bent over an angle is no ripple."""
+    ranges = _ranges(s, log, place)
+    return ranges.least == ranges.orders
 
 
 def _rounding(s: Setting, key: str) -> float:

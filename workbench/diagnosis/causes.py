@@ -12,9 +12,10 @@ from workbench.diagnosis.findings import Found, strongest_of
 from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, LAWS, LEFT_OVER, ONE_STEP, TIE
 from workbench.diagnosis.referee import Judge, harms
 from workbench.diagnosis.refit import Model
-from workbench.diagnosis.remainder import Left
+from workbench.diagnosis.remainder import Left, trajectory
 from workbench.diagnosis.rivals import reach
 from workbench.diagnosis.rounding import Rounded, limit
+from workbench.diagnosis.scan import ONCE
 from workbench.diagnosis.screen import Signature
 from workbench.diagnosis.search import Step, effect_and_place, measurable
 from workbench.diagnosis.sizes import sizes_of
@@ -81,7 +82,7 @@ def doubted(
     better = any(laws[s.key].gap < -TIE for s in steps if s.key in laws)
     if finding is Finding.NAMED and steps and (beyond or objections or together or better or any(harm.values())):
         finding = Finding.INCOMPLETE
-    against = {s.key: said_against(laws[s.key]) if s.key in laws else "" for s in steps}
+    against = {s.key: said_against(laws[s.key]) if s.key in laws else _not_round(s) for s in steps}
     if finding is Finding.INCOMPLETE and together:
         against = {s.key: TOGETHER for s in steps}
     elif finding is Finding.INCOMPLETE:
@@ -130,6 +131,20 @@ def doubt_about(step: Step, beyond: bool, worse_than_given: bool, harm: str, lef
     if form > LAWS * step.gain:
         return f"its law has another form: what is left over {argument} is {100 * form / step.gain:.0f} % of what it explains"
     return ""
+
+
+def _not_round(step: Step) -> str:
+    """What speaks against what comes back with every turn, where nothing turned once in the records; empty for all else."""
+    model, (_, place) = step.after, effect_and_place(step.key)
+    slots = [(i, slot) for i, slot in enumerate(model.predictor.plant.slots) if slot.key == step.key]
+    if not slots[0][1].effect.phase or place not in model.predictor.plant.turning:
+        return ""
+    order = next((float(model.fit.point.eta[0, i]) for i, slot in slots if slot.parameter.unit == "1/turn"), 1.0)
+    angles = [trajectory(model, i)[f"angle of {place}"] for i in range(len(model.predictor.records))]
+    turns = max(float(np.ptp(angle)) for angle in angles) / (2.0 * np.pi)
+    if turns * order >= ONCE:
+        return ""
+    return f"{place} turned {turns:.2g} times only: any torque that changes over its angle looks like that"
 
 
 def law_instead(step: Step, model: Model) -> Law | None:

@@ -102,7 +102,8 @@ def lasting(model: Model, plant: str) -> Model:
     raise InputError(
         "the simulation leaves every range along these records, however it is corrected",
         file=plant,
-        mend="check the equation, the units, and the values of the parameters at the records' operating points",
+        mend="check the equation, the units, and the values of the parameters at the records' operating points; of an unstable "
+        "machine log what shows that it runs away",
     )
 
 

@@ -38,7 +38,7 @@ from workbench.physics.effects.effect import Domain
 from workbench.physics.plant import Plant, Slot
 from workbench.records import field, record
 
-PLAY = "backlash"
+PLAY, RESONANCE = "backlash", "sensor-resonance"
 
 
 @record
@@ -259,6 +259,7 @@ def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: 
         and _practical(before, after)
         and _of_its_own(before.predictor.plant, key, gain, steps)
         and not _is_rounding(after, key)
+        and not _is_alias(after, key)
         and (np.isinf(most) or ahead(before, after) <= most)
     )
 
@@ -323,6 +324,15 @@ def _is_rounding(model: Model, key: str) -> bool:
         return False
     size = max(abs(float(model.fit.point.eta[0, i])) for i, slot in enumerate(model.predictor.plant.slots) if slot.key == key)
     return any(r.channel == place and size < r.step for r in rounded(model.predictor))
+
+
+def _is_alias(model: Model, key: str) -> bool:
+    """Whether a sensor rings on from sample to sample with more than one turn in each: its frequency is not in such records."""
+    if effect_and_place(key)[0] != RESONANCE:
+        return False
+    plant = model.predictor.plant
+    at = {slot.parameter.name: float(model.fit.point.eta[0, i]) for i, slot in enumerate(plant.slots) if slot.key == key}
+    return 2.0 * np.pi * at["time"] < plant.dt < at["time"] / at["damping"]
 
 
 def _practical(before: Model, after: Model) -> bool:

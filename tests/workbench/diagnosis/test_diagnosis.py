@@ -486,3 +486,45 @@ def test_the_winder_names_a_dry_friction_on_its_unwinder():
     assert found.causes[0].key == "coulomb@unwind"
     level = found.causes[0].parameters["level"]
     assert level.low <= 0.004 <= level.high or level.value == pytest.approx(0.004, rel=0.1)
+
+
+def with_numbers(plant, key, **numbers):
+    """A model of which only the numbers of one effect are asked for."""
+    eta = plant.effect_vector()
+    for i, slot in enumerate(plant.slots):
+        if slot.key == key:
+            eta[i] = numbers.get(slot.parameter.name, eta[i])
+    records = (None, None)
+    return SimpleNamespace(
+        predictor=SimpleNamespace(plant=plant, records=records), fit=SimpleNamespace(point=SimpleNamespace(eta=eta[None]))
+    )
+
+
+@pytest.mark.parametrize(
+    ("samples", "damping", "alias"),
+    [(0.057, 0.028, True), (0.057, 0.3, False), (0.17, 0.028, False), (1.0, 0.02, False)],
+)
+def test_a_sensor_that_rings_faster_than_the_records_are_sampled_is_no_cause(samples, damping, alias):
+    resonance = with_numbers(AXIS, "sensor-resonance@q", time=samples * AXIS.dt, damping=damping)
+    assert search._is_alias(resonance, "sensor-resonance@q") is alias
+    assert not search._is_alias(resonance, "sensor-lag@q")
+
+
+@pytest.mark.parametrize(
+    ("key", "turns", "sure"),
+    [
+        ("imbalance@unwind", (0.2, 0.4), False),
+        ("imbalance@unwind", (0.2, 1.1), True),
+        ("torque-ripple@unwind", (0.1, 0.2), True),  # of order 6
+        ("torque-ripple@unwind", (0.1, 0.15), False),
+        ("coulomb@unwind", (0.1, 0.1), True),
+        ("periodic-tension@T1", (0.1, 0.1), True),  # comes back with time, not with an angle
+    ],
+)
+def test_what_comes_back_with_every_turn_is_not_sure_where_nothing_turned_once(monkeypatch, key, turns, sure):
+    ends = iter(turns)
+    monkeypatch.setattr(
+        causes, "trajectory", lambda model, i: {"angle of unwind": np.linspace(3.0, 3.0 + 2.0 * np.pi * next(ends), 50)}
+    )
+    step = SimpleNamespace(key=key, after=with_numbers(WEB_WINDING, key))
+    assert bool(causes._not_round(step)) is not sure
