@@ -86,10 +86,10 @@ def doubted(
     if finding is Finding.INCOMPLETE and together:
         against = {s.key: TOGETHER for s in steps}
     elif finding is Finding.INCOMPLETE:
-        turning = found.base.predictor.plant.turning
+        plant = found.base.predictor.plant
         for s in steps:
-            place = effect_and_place(s.key)[1]
-            doubt = doubt_about(s, bool(beyond), bool(objections), harm[s.key], found.left, turning.get(place, place))
+            argument = plant.argument(effect_and_place(s.key)[1])
+            doubt = doubt_about(s, bool(beyond), bool(objections), harm[s.key], found.left, argument)
             against[s.key] = doubt or against[s.key]
     return finding, doubts_of(steps, against)
 

@@ -48,8 +48,7 @@ def instead(model: Model, key: str) -> Law | None:
     found = []
     trajectories = [trajectory(model, i) for i in range(unknowns.records)]
     made = variables(trajectories)
-    at = key.partition("@")[2]
-    argument = plant.turning.get(at, at)
+    argument = plant.argument(key.partition("@")[2])
     over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
     for state in plant.laws:
         changing = coefficients(model, ("rate", state), trajectories, {name: made[name] for name in over})

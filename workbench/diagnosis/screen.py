@@ -154,7 +154,7 @@ def _periods(q: EffectParameter, length: float) -> list[float]:
 def _periodic(predictor: Predictor, fit: Fit, shape: int) -> Scan | None:
     """The most likely order or frequency of a periodic effect, None where its place has no entry of its own."""
     plant, slot = predictor.plant, predictor.plant.slots[shape]
-    entry = plant.turning.get(slot.place, slot.place)
+    entry = plant.argument(slot.place)
     if entry not in predictor.entries:
         return None
     if slot.parameter.unit == PER_TURN:

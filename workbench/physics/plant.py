@@ -242,6 +242,11 @@ class Plant:
         """Place -> speed state, for every port that turns; the stepper integrates one angle for each place."""
         return {port.place: port.speed for port in self.ports if hasattr(port, "speed")}
 
+    def argument(self, place: str) -> str:
+        """What laws at a place are over: the speed of what turns, the tension of a span, else the variable of that name."""
+        tensions = {port.place: port.tension for port in self.ports if hasattr(port, "tension")}
+        return (self.turning | tensions).get(place, place)
+
     @cached_property
     def swinging(self) -> tuple[str, ...]:
         """Inputs whose rate of change a port needs; the stepper takes it from one sample to the next."""

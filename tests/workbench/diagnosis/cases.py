@@ -16,6 +16,7 @@ from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.screen import Score, scores, signatures, small_sizes, variants
 from workbench.physics.controller import Playback
+from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate
 
 READING, PUSH = 1e-4, 5.0  # m, noise of the axis' encoder; N, force that nobody logged
@@ -106,9 +107,9 @@ def axis_predictor(data: Dataset, plant=AXIS) -> Predictor:
     return made.regained(made.point, noise())
 
 
-def fitted(data: Dataset) -> Model:
-    """The recalibrated model of records of the axis or the robot."""
-    plant = AXIS if "q" in data.experiments[0].names else ROBOT
+def fitted(data: Dataset, plant: Plant | None = None) -> Model:
+    """The recalibrated model of records of the axis or the robot, or of a plant of the test's own."""
+    plant = plant or (AXIS if "q" in data.experiments[0].names else ROBOT)
     made = recalibrated(predictor(plant, data))
     return Model(made.predictor, made.fit)
 
