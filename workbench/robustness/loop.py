@@ -41,6 +41,8 @@ RATE_OF = "rate of "
 FLOOR = 1e-6  # of the largest reachable variance: what a direction of the state counts that nothing reaches
 LOST, ROUNDED = np.log(1e-13), 5  # of the largest number beside it: what rounding leaves of a 0; how often that is looked for
 COMPARED, SAME_ANSWER = 12, 1e-6  # samples at which law and linear form are compared; of an answer, how far they may differ
+SHARES, HUGE = (0.4, 0.02, 1e-3, 1e-6, 1e-9), 1e6  # of the room that a law has, answers that are compared; where it has no end
+FEW = 3  # schedule values at which they are compared at least
 
 
 class LinearLaw(Loop, Protocol):
@@ -395,17 +397,18 @@ def check_law(model: LPVModel, law: LinearLaw) -> None:
         raise InputError(problem, file=model.name, mend="design a law on this model, or check it on the model it was designed on")
 
 
-def without_linear_form(law: Any) -> str:
+def without_linear_form(law: Any, values: Sequence[float] = ()) -> str:
     """Why nothing can be proved of a law on a linear model, in words; "" where its linear form is what it commands.
 
-    `at` is not believed: law and linear form are given the same samples, off the limits of the law, and must answer them alike.
-    A law that is a record is asked without its limits; another one is led off them first, where constant errors can.
+    `at` is not believed: at the ends and the middle of its span and at the schedule `values`, law and linear form are given the
+    same samples, small and large, off the limits of the law, and must answer them alike. A law that is a record is asked without
+    its limits; another one is led off them first, where constant errors can.
     """
     if not all(hasattr(law, name) for name in LINEAR):
         how = "is an equation of its own" if isinstance(law, Controller) else "is computed step by step"
         return f"{law.name} {how}: no linear law to prove anything of; it is checked on the plant alone"
     low, high = law.span
-    for rho in [low, 0.5 * (low + high), high] if law.schedule else [None]:
+    for rho in np.union1d(np.linspace(low, high, FEW), values).tolist() if law.schedule else [None]:
         try:
             off = _apart(_unlimited(law), rho)
         except Exception as reason:
@@ -456,16 +459,19 @@ def _apart(law: Any, rho: float | None) -> str:
     for own in push:
         answer.append(C @ x + D @ own)
         x = A @ x + B @ own
-    size = 0.2 * np.min(room / np.maximum(np.maximum.accumulate(np.abs(answer)).max(axis=0), 1e-300))
-    size = min(size, 1.0)
+    largest = np.min(room / np.maximum(np.abs(answer).max(axis=0), 1e-300))
     rest = np.repeat(before[-1:], COMPARED, axis=0)
-    plain, pushed = (
-        run(*np.split(np.vstack([before, rest + share * push]), [nr], axis=1))[len(before) :] for share in (0.0, size)
-    )
-    off = np.abs(pushed - plain - size * np.array(answer))
-    most = size * np.abs(answer).max(axis=0) + 1e-9 * np.abs(plain).max(axis=0) + 1e-12
-    if np.any(off > SAME_ANSWER * most):
-        return f"to the same samples it answers otherwise, by {np.max(off / most):.2g} of the answer"
+
+    def answered(share: float) -> np.ndarray:
+        return run(*np.split(np.vstack([before, rest + share * push]), [nr], axis=1))[len(before) :]
+
+    plain = answered(0.0)
+    for share in SHARES:
+        size = share * min(largest, HUGE)
+        off = np.abs(answered(size) - plain - size * np.array(answer))
+        most = size * np.abs(answer).max(axis=0) + 1e-9 * np.abs(plain).max(axis=0) + 1e-12
+        if np.any(off > SAME_ANSWER * most):
+            return f"to samples about {size:.2g} in size it answers otherwise, by {np.max(off / most):.2g} of the answer"
     return ""
 
 

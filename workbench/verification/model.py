@@ -77,7 +77,8 @@ def on_model(
     InputError for limits that ask for what the loop does not have.
     """
     model, of = left.model, f"model {left.model.name}"
-    if said := without_linear_form(law):
+    values = [] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist()
+    if said := without_linear_form(law, values):
         return Part(TITLE, tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)))
     check_law(model, law)
     run = _prepared(left, law, limits, plant) if limits.limits and limits.run is not None else None

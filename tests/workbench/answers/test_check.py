@@ -173,6 +173,41 @@ def test_a_linear_form_that_is_not_the_law_proves_nothing(records, model, change
     assert "nothing is proved of it" in found.verdicts[0].sentence
 
 
+class Bent(Claims):
+    """A law that is linear near its rest only: beyond `near` it gives `beyond` times as much, as it does within 1e-4 of it."""
+
+    def law(self, gains, state, r, y, rho):
+        u, state = LAW.law(gains, state, r, y, rho)
+        small, large = self.bent
+        size = abs(float(r[0] - y[0]))
+        return (u if small < size < large else [1.5 * own for own in u]), state
+
+
+@pytest.mark.parametrize("bent", [(-1.0, 2.0), (1e-3, np.inf)])
+def test_a_law_that_is_its_linear_form_for_some_sizes_only_has_none(bent):
+    law = claims(same)
+    whole, bent = Bent(**law.__dict__, bent=(-1.0, np.inf)), Bent(**law.__dict__, bent=bent)
+    assert not without_linear_form(whole)
+    assert "answers otherwise" in without_linear_form(bent)
+
+
+def test_a_linear_form_is_asked_for_at_the_schedule_values_that_are_proved():
+    """Gains that are off within a tenth of the span, between its ends and its middle."""
+    house = scheduled()
+    low, high = house.span
+    hole = low + 0.3 * (high - low)
+
+    def at(rho):
+        own = house.at(rho)
+        gain = 1.1 if abs(rho - hole) < 0.05 * (high - low) else 1.0
+        return control.StateSpace(own.A, own.B, own.C, gain * np.array(own.D), own.dt)
+
+    own = ("name", "dt", "references", "measured", "schedule", "actuated", "gains", "low", "high", "rate", "span")
+    holed = SimpleNamespace(**{key: getattr(house, key) for key in (*own, "init", "law", "offset")}, at=at)
+    assert not without_linear_form(holed)
+    assert "answers otherwise" in without_linear_form(holed, np.linspace(low, high, 11).tolist())
+
+
 @pytest.mark.slow
 def test_a_law_of_ones_own_with_a_true_linear_form_is_proved_and_refuted_like_one_of_the_house(records, model, tmp_path):
     asked = {**LIMITS, "limits": {"v": {"low": -0.5, "high": 0.6}}}
