@@ -225,7 +225,7 @@ def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Sta
         Stage(
             "models",
             ("identify", *own, "--outputs", "w3,theta", "--inputs", "V1,V2", "--schedule", SCHEDULE, *kinds,
-             "--no-feedthrough", "--validate", *held),
+             "--no-feedthrough", "--holdout", *held),
         ),
         Stage(
             "pid",

@@ -46,7 +46,7 @@ class Channel:
 
 @record
 class Experiment:
-    """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, the typical step of t.
+    """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, by default the typical step.
 
     file: the path that it was read from, "" where it comes from no file.
     """
@@ -55,10 +55,12 @@ class Experiment:
     t: np.ndarray = field("N", unit="s")
     channels: tuple[Channel, ...]
     values: np.ndarray = field("N nc")
-    dt: float = field("", unit="s", low=1e-12)
+    dt: float = field("", unit="s", low=1e-12, default=math.inf)
     file: str = ""
 
     def __post_init__(self):
+        if math.isinf(self.dt):
+            object.__setattr__(self, "dt", _typical_step(self.name, self.t))
         names = [channel.name for channel in self.channels]
         if len(names) != self.values.shape[1]:
             raise InputError(
@@ -75,8 +77,9 @@ class Experiment:
     def from_arrays(
         cls,
         name: str,
-        dt: float,
+        dt: float | None = None,
         *,
+        t: np.ndarray | None = None,
         inputs: Mapping[str, np.ndarray] | None = None,
         outputs: Mapping[str, np.ndarray] | None = None,
         schedule: Mapping[str, np.ndarray] | None = None,
@@ -84,10 +87,13 @@ class Experiment:
         other: Mapping[str, np.ndarray] | None = None,
         units: Mapping[str, str] | None = None,
     ) -> "Experiment":
-        """t[k] = k dt: a record from arrays (N,) by channel name, roles by keyword, units by channel name.
+        """A record from arrays (N,) by channel name, roles by keyword, units by channel name.
 
-        Raises InputError for arrays of different lengths, numbers that are not finite, units of unknown channels.
+        dt [s]: t[k] = k dt; or t (N,) [s]: the time stamps. One of the two. Raises InputError for both or neither, arrays of
+        different lengths, numbers that are not finite, units of unknown channels.
         """
+        if (dt is None) is (t is None):
+            raise InputError("both dt and t" if t is not None else "neither dt nor t", file=name, mend="give one of the two")
         units = units or {}
         columns = [
             *_columns("input", inputs, units),
@@ -113,7 +119,14 @@ class Experiment:
         values = np.column_stack([array for _, array in columns])
         _check_finite(name, names, values)
         channels = tuple(channel for channel, _ in columns)
-        return cls(name, np.arange(len(reference)) * float(dt), channels, values, dt)
+        if t is None:
+            assert dt is not None
+            return cls(name, np.arange(len(reference)) * float(dt), channels, values, dt)
+        stamps = np.asarray(t, dtype=float)
+        if stamps.shape != reference.shape:
+            shapes = f"t has shape {stamps.shape}, expected {reference.shape} as in {names[0]}"
+            raise InputError(shapes, file=name, mend="give one time stamp per sample")
+        return cls(name, stamps, channels, values)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -458,3 +471,11 @@ def _interpolated(experiment: Experiment, dt: float) -> Experiment:
         source = experiment.values[:, column]
         values[:, column] = source[last] if is_held else np.interp(t, old, source)
     return dataclasses.replace(experiment, t=t, values=values, dt=dt)
+
+
+def _typical_step(name: str, t: np.ndarray) -> float:
+    """The median step [s] of time stamps; raises InputError where there is none."""
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    if not step > 0.0:
+        raise InputError("its time stamps have no step", file=name, mend="give dt, or two samples and more in the order of time")
+    return step

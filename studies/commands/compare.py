@@ -26,6 +26,8 @@ from workbench.sources import read
 
 def run(options: Namespace) -> int:
     """Score saved models on records that they never saw and test what is left in their residuals."""
+    if not options.holdout:
+        raise InputError("on which records?", mend="give --holdout R.csv, records that no model was made from")
     models = _load_models(options.models)
     if len({model.name for model in models}) < len(models):  # two of one name are told apart by their files
         models = [replace(model, name=path) for path, model in zip(options.models, models, strict=True)]
@@ -34,7 +36,7 @@ def run(options: Namespace) -> int:
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
         dataset = read(
-            *options.records,
+            *options.holdout,
             inputs=[c.name for c in model.inputs],
             outputs=[c.name for c in outputs],
             schedule=model.schedule.name if model.schedule else (),
@@ -60,7 +62,7 @@ def run(options: Namespace) -> int:
     code = say_models(results, options.accept)
     folder = run_folder(options.out, "compare")
     kept = [result if options.accept or not result.against else replace(result, file="") for result in results]
-    source = provenance({"models": options.models}, options.records)
+    source = provenance({"models": options.models}, options.holdout)
     content = scores_file(kept, source)
     for file in filter(None, (folder / SCORES_FILE, options.json)):
         write_json(file, content)

@@ -27,7 +27,7 @@ def run(options: Namespace) -> int:
     interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
     methods = {name: METHODS[name](**_method_options(options, name)) for name in wanted if name != INTERVAL}
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
-    held_out = _read(options.validate, roles) if options.validate else None
+    held_out = _read(options.holdout, roles) if options.holdout else None
     given = prepared(_read(options.records, roles), held_out, options.dt)
     for note in given.notes:
         say(f"note: {note}")
@@ -42,12 +42,12 @@ def run(options: Namespace) -> int:
     for remark in found.remarks:
         say(remark)
     code = say_models(found.results, options.accept)
-    if not options.validate:
-        say("no held-out records: these scores are of the records the models were made from. Add --validate RECORD.")
+    if not options.holdout:
+        say("no held-out records: these scores are of the records the models were made from. Add --holdout RECORD.")
     asked = {"model": options.model, "order": options.order, "feedthrough": options.feedthrough, "dt": given.own.dt} | roles
     asked |= {"interval": str(interval)} if interval else {}
     folder = run_folder(options.out, "identify")
-    found.save(folder, source=provenance(asked, [*options.records, *options.validate]))
+    found.save(folder, source=provenance(asked, [*options.records, *options.holdout]))
     if options.json:
         write_bytes(options.json, (folder / SCORES_FILE).read_bytes())
     say(f"report: {folder / 'report.html'}")

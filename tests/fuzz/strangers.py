@@ -169,7 +169,7 @@ def commands(kind: str, random: Random) -> list[list[str]]:
         roles += ["--schedule", some((*inputs, *outputs, "none"))]
     method = some(("lti", "ilm", "ssm", "lti,ssm", "all", "best", "interval"))
     model = f"m/{method if method in ('lti', 'ilm', 'ssm') else 'lti'}.json"
-    held = ["--validate", "b.csv"] if random.random() < 0.6 else []
+    held = ["--holdout", "b.csv"] if random.random() < 0.6 else []
     order = ["--order", str(some((1, 2, 5, 40)))] if random.random() < 0.5 else []
     name = some(tuple(parameters))
     fit = ["--parameters", name] if random.random() < 0.4 else []
@@ -186,7 +186,7 @@ def commands(kind: str, random: Random) -> list[list[str]]:
     checked = ["--controller", f"l/{law}.json", "--limits", "limits.toml", "--model", model, "--records", "a.csv", "b.csv"]
     return [
         ["identify", "a.csv", *roles, "--model", method, *order, *held, "--out", "m"],
-        ["compare", model, "--records", "b.csv", "--out", "c"],
+        ["compare", model, "--holdout", "b.csv", "--out", "c"],
         ["simulate", "plant.py:PLANT", "--inputs-from", "a.csv", *shown, "--out", "s"],
         ["effects", "plant.py:PLANT"],
         ["calibrate", "a.csv", "--plant", "plant.py:PLANT", *fit, *out_of, "--out", "k"],

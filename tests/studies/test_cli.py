@@ -97,7 +97,7 @@ def test_effects_parameters_and_start_reach_the_plant(tmp_path):
 def test_identify_and_compare(records, tmp_path, capsys):
     paths = [str(records / f"{name}.csv") for name in ("prbs1", "rbs", "rgs")]
     words = ["identify", paths[0], paths[1], "--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--order", "3"]
-    assert main([*words, "--validate", paths[2], "--out", str(tmp_path), "--json", str(tmp_path / "s.json")]) == 0
+    assert main([*words, "--holdout", paths[2], "--out", str(tmp_path), "--json", str(tmp_path / "s.json")]) == 0
     said = capsys.readouterr().out
     first = next(line for line in said.splitlines() if line.startswith(("LTI", "ILM", "SSM")))
     assert "held-out" in first  # the headline
@@ -114,12 +114,41 @@ def test_identify_and_compare(records, tmp_path, capsys):
     assert free["SSM"] > free["ILM"] > free["LTI"]
 
     models = [str(tmp_path / f"{m}.json") for m in ("lti", "ssm")]
-    assert main(["compare", *models, "--records", paths[2], "--out", str(tmp_path), "--json", str(tmp_path / "c.json")]) == 0
+    assert main(["compare", *models, "--holdout", paths[2], "--out", str(tmp_path), "--json", str(tmp_path / "c.json")]) == 0
     again = json.loads((tmp_path / "c.json").read_text())
     for model in again["models"]:  # a saved model scores as it did before it was saved
         same = next(s["FIT"] for s in model["scores"] if s["horizon"] == "free-run")
         assert same == pytest.approx(free[model["model"]], abs=1e-9)
     assert "residual" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_numbers_on_standard_output_stand_alone_there(records, tmp_path, capsys):
+    paths = [str(records / f"{name}.csv") for name in ("prbs1", "rbs")]
+    fit = ["--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "lti", "--order", "2", "--out", str(tmp_path)]
+    assert main(["identify", paths[0], *fit, "--holdout", paths[1], "--json", "-"]) == 0
+    written = capsys.readouterr()
+    assert json.loads(written.out) == json.loads((tmp_path / "scores.json").read_text())
+    assert "held-out" in written.err
+    assert refused(capsys, "identify", str(tmp_path / "none.csv"), *fit, "--json", "-")
+
+
+@pytest.mark.slow
+def test_old_spellings_of_held_out_records_work_and_are_not_shown(records, tmp_path, capsys):
+    paths = [str(records / f"{name}.csv") for name in ("prbs1", "rbs")]
+    fit = ["--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "lti", "--order", "2"]
+    for folder, held in (("new", "--holdout"), ("old", "--validate")):
+        assert main(["identify", paths[0], *fit, held, paths[1], "--out", str(tmp_path / folder)]) == 0
+        compared = "--records" if folder == "old" else held
+        assert main(["compare", str(tmp_path / folder / "lti.json"), compared, paths[1], "--out", str(tmp_path / folder)]) == 0
+    old, new = (json.loads((tmp_path / folder / "scores.json").read_text())["models"] for folder in ("old", "new"))
+    assert [m["scores"] for m in old] == [m["scores"] for m in new]
+    assert "give --holdout" in refused(capsys, "compare", str(tmp_path / "new" / "lti.json"))
+    with pytest.raises(SystemExit):
+        main(["identify", "--help"])
+    shown = capsys.readouterr().out
+    assert "--holdout" in shown
+    assert "--validate" not in shown
 
 
 def test_wrong_words_get_the_nearest_one(capsys, tmp_path, records):
@@ -143,12 +172,12 @@ def test_wrong_words_get_the_nearest_one(capsys, tmp_path, records):
 def test_wrong_files_are_named(capsys, tmp_path, records):
     a = str(records / "prbs1.csv")
     assert "nothing.csv" in refused(capsys, "identify", str(tmp_path / "nothing.csv"))
-    assert "same samples as estimation record" in refused(capsys, "identify", a, "--validate", a)
+    assert "same samples as estimation record" in refused(capsys, "identify", a, "--holdout", a)
     broken = tmp_path / "model.json"
     broken.write_text('{"schema": ')
-    assert "line 1" in refused(capsys, "compare", str(broken), "--records", a)
+    assert "line 1" in refused(capsys, "compare", str(broken), "--holdout", a)
     broken.write_text('{"schema": "other"}')
-    assert "not an LPV model" in refused(capsys, "compare", str(broken), "--records", a)
+    assert "not an LPV model" in refused(capsys, "compare", str(broken), "--holdout", a)
     wrong = tmp_path / "rpm.csv"
     text = (records / "rgs.csv").read_text().replace("w3 [rad/s]", "w3 [rpm]", 1)
     wrong.write_text(text)
@@ -213,15 +242,15 @@ def test_held_out_is_checked_not_believed(capsys, records, tmp_path):
     copy = tmp_path / "copy.csv"
     copy.write_bytes((records / "prbs1.csv").read_bytes())
     fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "lti", "--order", "2", "--out", str(tmp_path))
-    assert "same samples as estimation record 'prbs1'" in refused(capsys, "identify", a, *fit, "--validate", str(copy))
+    assert "same samples as estimation record 'prbs1'" in refused(capsys, "identify", a, *fit, "--holdout", str(copy))
     rpm = tmp_path / "rpm.csv"
     rpm.write_text((records / "rgs.csv").read_text().replace("w3 [rad/s]", "w3 [rpm]", 1))
-    assert "units rad/s and rpm" in refused(capsys, "identify", a, *fit, "--validate", str(rpm))
-    assert main(["identify", a, *fit, "--validate", c]) == 0
+    assert "units rad/s and rpm" in refused(capsys, "identify", a, *fit, "--holdout", str(rpm))
+    assert main(["identify", a, *fit, "--holdout", c]) == 0
     capsys.readouterr()
     model = str(tmp_path / "lti.json")
-    assert "was made from this record" in refused(capsys, "compare", model, "--records", a)
-    assert "named twice" in refused(capsys, "compare", model, model, "--records", c)
+    assert "was made from this record" in refused(capsys, "compare", model, "--holdout", a)
+    assert "named twice" in refused(capsys, "compare", model, model, "--holdout", c)
 
 
 @pytest.mark.slow
@@ -237,7 +266,7 @@ def test_a_schedule_beyond_the_models_range_is_said(capsys, records, tmp_path):
     lines = (records / "prbs1.csv").read_text().splitlines(keepends=True)
     short.write_text("".join(lines[:1200]))
     fit = ("--output", "w3", "--inputs", "V1,V2", "--schedule", "r2", "--model", "ssm", "--order", "2", "--out", str(tmp_path))
-    assert main(["identify", str(short), *fit, "--validate", str(records / "rgs.csv"), "--accept"]) == 0
+    assert main(["identify", str(short), *fit, "--holdout", str(records / "rgs.csv"), "--accept"]) == 0
     assert "r2 leaves the range the model knows" in capsys.readouterr().out
 
 

@@ -38,7 +38,7 @@ def files(tmp_path_factory):
 def identified(files, tmp_path_factory):
     out = tmp_path_factory.mktemp("models")
     words = ["identify", *files[:2], *ROLES, "--model", "lti,interval", "--intervals", "2", "--e-y", "0.005", "--e-u", "0"]
-    assert main([*words, "--validate", files[2], "--out", str(out), "--json", str(out / "copy.json")]) == 0
+    assert main([*words, "--holdout", files[2], "--out", str(out), "--json", str(out / "copy.json")]) == 0
     return out
 
 
@@ -82,7 +82,7 @@ def test_the_verdict_counts_held_out_records_only(identified):
 
 @pytest.mark.slow
 def test_coverage_of_held_out_records_is_said_first(files, tmp_path, capsys):
-    main(["identify", files[0], *ROLES, "--model", "interval", "--e-y", "0.005", "--validate", files[1], "--out", str(tmp_path)])
+    main(["identify", files[0], *ROLES, "--model", "interval", "--e-y", "0.005", "--holdout", files[1], "--out", str(tmp_path)])
     said = [line for line in capsys.readouterr().out.splitlines() if " envelope: " in line]
     assert "held-out" in said[0]
     assert "estimation" in said[-1]
@@ -92,11 +92,11 @@ def test_coverage_of_held_out_records_is_said_first(files, tmp_path, capsys):
 @pytest.mark.slow
 def test_compare_takes_interval_and_lpv_models_together(identified, files, tmp_path, capsys):
     models = [str(identified / name) for name in ("interval.json", "lti.json")]
-    assert main(["compare", *models, "--records", files[2], "--out", str(tmp_path)]) == 0
+    assert main(["compare", *models, "--holdout", files[2], "--out", str(tmp_path)]) == 0
     content = json.loads((tmp_path / "scores.json").read_text())
     assert ["envelopes" in entry for entry in content["models"]] == [True, False]
     assert "interval on c (held-out), y, one-step envelope: holds" in capsys.readouterr().out
-    assert main(["compare", models[0], "--records", files[2], "--out", str(tmp_path / "alone")]) == 0
+    assert main(["compare", models[0], "--holdout", files[2], "--out", str(tmp_path / "alone")]) == 0
 
 
 @pytest.mark.slow
@@ -181,7 +181,7 @@ def test_options_of_interval_models_belong_to_interval_models(files, tmp_path, c
 def test_a_torn_or_foreign_model_file_is_refused(identified, files, tmp_path, capsys):
     torn = tmp_path / "torn.json"
     torn.write_text((identified / "interval.json").read_text()[:500])
-    assert main(["compare", str(torn), "--records", files[2], "--out", str(tmp_path / "out")]) == 2
+    assert main(["compare", str(torn), "--holdout", files[2], "--out", str(tmp_path / "out")]) == 2
     assert "torn.json" in capsys.readouterr().err
-    assert main(["compare", str(identified / "interval.json"), "--records", files[0], "--out", str(tmp_path / "out")]) == 2
+    assert main(["compare", str(identified / "interval.json"), "--holdout", files[0], "--out", str(tmp_path / "out")]) == 2
     assert "was made from this record" in capsys.readouterr().err

@@ -85,7 +85,7 @@ def identified(folder, *records, words=()):
         write_csv(e, folder / f"{e.name}.csv")
         paths.append(str(folder / f"{e.name}.csv"))
     roles = ("--output", "y", "--inputs", "u", "--schedule", "p", "--model", "ssm", "--order", "2", "--out", str(folder / "m"))
-    return main(["identify", paths[0], *roles, "--validate", *paths[1:], *words])
+    return main(["identify", paths[0], *roles, "--holdout", *paths[1:], *words])
 
 
 @pytest.mark.slow
@@ -117,5 +117,5 @@ def test_a_model_worse_than_the_mean_is_not_handed_out_and_not_scored(tmp_path, 
     assert "FIT" not in said
     assert identified(tmp_path, good, machine(3, 600)) == 0
     model = str(tmp_path / "m" / "ssm.json")
-    assert main(["compare", model, "--records", str(tmp_path / "other.csv"), "--out", str(tmp_path / "c")]) == 3
+    assert main(["compare", model, "--holdout", str(tmp_path / "other.csv"), "--out", str(tmp_path / "c")]) == 3
     assert (tmp_path / "m" / "ssm.json").exists()  # compare takes no model away

@@ -226,3 +226,19 @@ def test_one_measurement_under_two_names_is_found_out():
     with pytest.raises(InputError, match="unit"):
         check_held_out(Dataset((make("a", w3="rad/s"),)), Dataset((make("b", 30, w3="rpm"),)))
     check_held_out(Dataset((make("a"),)), Dataset((make("b", 30),)))
+
+
+def test_a_record_has_time_stamps_or_a_sample_time_and_finds_the_other():
+    t, u = 3.0 + 0.02 * np.arange(50), np.ones(50)
+    stamped, sampled = Experiment.from_arrays("run", t=t, inputs={"u": u}), Experiment.from_arrays("run", 0.02, inputs={"u": u})
+    assert stamped.dt == pytest.approx(0.02, rel=1e-12)
+    assert np.array_equal(stamped.t, t)
+    assert np.allclose(sampled.t, t - 3.0)
+    gap = np.delete(t, [20, 21])  # a step is the typical one
+    assert Experiment("run", gap, stamped.channels, np.ones((48, 1))).dt == pytest.approx(0.02, rel=1e-12)
+    for both, problem in ({"dt": 0.02, "t": t}, "both dt and t"), ({}, "neither dt nor t"), ({"t": t[1:]}, "expected"):
+        with pytest.raises(InputError, match=problem):
+            Experiment.from_arrays("run", **both, inputs={"u": u})
+    for stamps in (np.zeros(1), np.zeros(50), t[::-1]):
+        with pytest.raises(InputError, match="no step"):
+            Experiment("run", stamps, stamped.channels, np.ones((len(stamps), 1)))

@@ -163,7 +163,7 @@ def test_identify_writes_what_the_command_writes(files, tmp_path):
     data, held_out = wb.read(files[0], **ROLES), wb.read(files[1], **ROLES)
     answer = wb.identify(data, held_out, methods={"lti": wb.LTI(order=2), "ssm": wb.SSM(order=2)})
     answer.save(tmp_path / "verb")
-    words = ["identify", files[0], "--output", "v", "--inputs", "u", "--validate", files[1], "--model", "lti,ssm", "--order", "2"]
+    words = ["identify", files[0], "--output", "v", "--inputs", "u", "--holdout", files[1], "--model", "lti,ssm", "--order", "2"]
     assert main([*words, "--out", str(tmp_path / "command")]) == 0
     for name in ("lti.json", "ssm.json"):
         assert numbers(tmp_path / "verb" / name) == numbers(tmp_path / "command" / name)
