@@ -153,11 +153,22 @@ class Predictor:
         return (white**2).sum(axis=1) - 2.0 * np.log(np.einsum("kii->ki", self.passes[i].whitening)).sum(axis=1)
 
     def errors(
-        self, i: int, p: np.ndarray, eta: np.ndarray, start: np.ndarray, *, white: bool = True, drift: bool = True
+        self,
+        i: int,
+        p: np.ndarray,
+        eta: np.ndarray,
+        start: np.ndarray,
+        *,
+        white: bool = True,
+        drift: bool = True,
+        push: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Prediction errors (R, N, ny) of record i for R hypotheses p (R, np), eta (R, ne), start (R, nx); 0 where unmeasured."""
+        """Prediction errors (R, N, ny) of record i for R hypotheses p (R, np), eta (R, ne), start (R, nx); 0 where unmeasured.
+
+        push (N, nx, R): known rates of change, each constant over a sample.
+        """
         r = self.records[i]
-        run = self._run(r, p, eta, start, self._steered(i, drift=drift))
+        run = self._run(r, p, eta, start, replace(self._steered(i, drift=drift), push=push))
         e = r.seen[:, :, None] - np.moveaxis(run.measured, 0, 2)  # as they lie in memory
         e[np.isnan(r.seen)] = 0.0
         e[~(np.abs(e) <= RAN_AWAY)] = RAN_AWAY

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from tests.workbench.diagnosis.cases import AXIS, axis_by_hand, axis_records, fitted, refitted, steps
 from tests.workbench.diagnosis.test_pushes import ROD
-from workbench import Parameter, Plant
+from workbench import Parameter, Plant, Start
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnosis import causes
+from workbench.diagnosis import causes, equations
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.equations import Law, instead
@@ -102,7 +103,7 @@ def test_a_bent_reading_is_sure_where_the_machine_moves_fast_enough_to_tell(firs
     assert [(c.key, c.doubt) for c in said.causes] == [("sensor-nonlinearity@level", "")]
 
 
-def test_the_gap_is_that_of_a_least_squares_fit_with_every_column_written_out():
+def test_the_linear_gap_is_that_of_a_least_squares_fit_with_every_column_written_out():
     key = "sensor-nonlinearity@q"
     model = refitted(fitted(axis_records(2, {key: {"curvature": 0.05}}, samples=600)), key, [0.05])
     fit, predictor = model.fit, model.predictor
@@ -122,7 +123,8 @@ def test_the_gap_is_that_of_a_least_squares_fit_with_every_column_written_out():
         right.append(predictor.errors(i, fit.point.p[None], eta[None], fit.point.start[i][None])[0].ravel())
     A, b = np.vstack(rows), np.concatenate(right)
     left = b - A @ np.linalg.lstsq(A, b)[0]
-    assert law.gap == pytest.approx(left @ left - fit.cost + 5 * np.log(1200), rel=1e-4, abs=1e-3)
+    push = equations._pushed(equations._without(model, key), law.state, law.variable, bases, least=-np.inf)
+    assert push.linear == pytest.approx(left @ left - fit.cost + 5 * np.log(1200), rel=1e-4, abs=1e-3)
 
 
 def test_an_effect_that_the_plant_has_of_its_own_is_not_taken_away_with_the_cause():
@@ -203,3 +205,49 @@ def test_a_coefficient_that_changes_with_another_variable_counts_only_where_it_i
     assert law.gap < -TIE
     plain = fitted(axis_records(5, {"coulomb@slide": {"level": 20.0}}, samples=600))
     assert " times " not in instead(refitted(plain, "coulomb@slide", [20.0]), "coulomb@slide").variable
+
+
+def tank_records(offset, seepage, seeds=(1, 2)):
+    """A tank 0.01 h' = 1e-4 (u + offset) - 4e-4 sqrt(h) - seepage h^2, by hand; and the plant without either."""
+    plant = Plant(
+        name="tank",
+        states=(Channel("h", "m"),),
+        inputs=(Channel("u", "V", "input"),),
+        outputs=(Channel("y", "m", "output"),),
+        parameters=(Parameter("k", 1e-4, "m^3/s/V", tolerance=0.02), Parameter("a", 4e-4, "m^2.5/s", tolerance=0.1)),
+        equation=lambda x, u, p, at: {"h": (p.k * u.u - p.a * np.sqrt(np.maximum(x.h, 1e-6))) / 0.01},
+        measure=lambda x, p: {"y": x.h},
+        dt=0.5,
+        start=Start({"h": 0.5}, ("u",), ("h",)),
+        noise={"y": 5e-4},
+    )
+    made = []
+    for seed in seeds:
+        random, h, seen = np.random.default_rng(seed), 0.5, []
+        u = np.repeat(random.uniform(1.2, 4.2, 20), 30)
+        for own in u:
+            seen.append(h + 5e-4 * random.standard_normal())
+            flow = lambda t, x, own=own: (1e-4 * (own + offset) - 4e-4 * np.sqrt(x) - seepage * x**2) / 0.01  # noqa: E731
+            h = solve_ivp(flow, (0.0, 0.5), [h], rtol=1e-9).y[0, -1]
+        made.append(Experiment.from_arrays(f"tank {seed}", 0.5, inputs={"u": u}, outputs={"y": np.array(seen)}))
+    return plant, Dataset(tuple(made))
+
+
+def test_a_law_of_one_number_is_fitted_and_told_from_an_offset():
+    """Far from where it acts one linear step says little: the tank without its offset has drifted away."""
+    for offset, seepage, better in ((0.0, 3e-5, True), (-0.15, 0.0, False)):
+        plant, data = tank_records(offset, seepage)
+        model = refitted(fitted(data, plant), "offset@u", [-0.1])
+        law = instead(model, "offset@u")
+        assert (law.state, law.variable) == ("h", "h")
+        assert (law.gap < 0.0) is better
+        assert law.gap > TIE or better
+
+
+def test_a_law_costs_what_its_errors_say_and_not_what_a_linear_step_promises():
+    plant, data = tank_records(-0.15, 0.0)
+    model = refitted(fitted(data, plant), "offset@u", [-0.1])
+    bare = equations._without(model, "offset@u")
+    assert bare.cost > model.fit.cost + 20.0
+    push = equations._pushed(bare, "h", "one", [np.ones((len(r), 1)) for r in model.predictor.records], least=-np.inf)
+    assert equations._fitted(push) == pytest.approx(0.0, abs=1.0)  # a constant flow is the offset itself, with as many numbers
