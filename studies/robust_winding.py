@@ -33,7 +33,8 @@ from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Provenance, Report, Section, Table
 from workbench.report.page import write_report
-from workbench.robustness.envelopes import Course, nominal, replay, worst
+from workbench.robustness.envelopes.adversary import worst
+from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.falsify import at_random, tolerance_box, worst_plant
 from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from tests.workbench.robustness.loops import lagged_course
-from workbench.robustness import envelopes
-from workbench.robustness.envelopes import dual, kernel, nominal, worst
+from workbench.robustness.envelopes import kernel as kernel_module
+from workbench.robustness.envelopes.adversary import worst
+from workbench.robustness.envelopes.course import nominal
+from workbench.robustness.envelopes.dual import dual
+from workbench.robustness.envelopes.kernel import kernel
 
 pytestmark = pytest.mark.bench
 
@@ -56,7 +59,7 @@ def test_the_kernel_costs_less_than_with_all_columns(monkeypatch):
     course, large = lagged_course(0.05), doubled(lagged_course(0.05))
     ours, own, two = (seconds(lambda one=one: kernel(one)) for one in (course, every_sample(course), large))
     cut = kernel(course)
-    monkeypatch.setattr(envelopes, "AGE", 10**4)
+    monkeypatch.setattr(kernel_module, "AGE", 10**4)
     theirs, whole = seconds(lambda: kernel(large), 1), kernel(course)
     widened = (cut.half / np.maximum(whole.half, 1e-300)).max()
     print(f"\nkernel of 9 states: {ours:.2f} s, with matrices of every sample {own:.2f} s, widened by {widened - 1:.1e}")

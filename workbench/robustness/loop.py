@@ -32,7 +32,7 @@ from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import LPVModel, check_no_feedthrough
 from workbench.physics.controller import Controller, Loop, stepped
 from workbench.records import field, record
-from workbench.robustness.envelopes import Course
+from workbench.robustness.envelopes.course import Course
 from workbench.robustness.frequency import System
 from workbench.robustness.rests import Rest
 

@@ -17,7 +17,7 @@ from workbench.files import read_json, write_json
 from workbench.intervals.model import IntervalModel, interval_model_from_dict
 from workbench.lpv import LPVModel, model_from_dict
 from workbench.records import field, record
-from workbench.robustness.envelopes import Course, replay
+from workbench.robustness.envelopes.course import Course, replay
 from workbench.robustness.loop import LinearLaw, UncertainLoop, course_of
 from workbench.robustness.margins import Falsified
 

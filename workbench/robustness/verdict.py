@@ -31,7 +31,10 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
-from workbench.robustness.envelopes import Course, Kernel, dual, kernel, replay, worst
+from workbench.robustness.envelopes.adversary import worst
+from workbench.robustness.envelopes.course import Course, replay
+from workbench.robustness.envelopes.dual import dual
+from workbench.robustness.envelopes.kernel import Kernel, kernel
 from workbench.robustness.margins import Falsified, Margin
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought

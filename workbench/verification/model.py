@@ -21,7 +21,8 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
-from workbench.robustness.envelopes import Course, kernel
+from workbench.robustness.envelopes.course import Course
+from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.falsify import same
 from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins

@@ -11,7 +11,7 @@ from workbench.intervals.domains import Box
 from workbench.intervals.model import IntervalModel, Mode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionAll, ParameterBox
-from workbench.robustness.envelopes import Course
+from workbench.robustness.envelopes.course import Course
 from workbench.robustness.loop import UncertainLoop, close
 
 DT = 0.1

@@ -9,7 +9,7 @@ from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.intervals.errors import ErrorRegression, one_step_errors
 from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
-from workbench.robustness.envelopes import nominal, replay
+from workbench.robustness.envelopes.course import nominal, replay
 from workbench.robustness.loop import close, course, driven, machine_with_errors, machines_along
 
 N = 80

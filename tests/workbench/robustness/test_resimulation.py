@@ -21,7 +21,8 @@ from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import ARX, FIR
 from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
-from workbench.robustness.envelopes import Course, kernel
+from workbench.robustness.envelopes.course import Course
+from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.loop import course, course_of, driven, machine_of, with_rates
 from workbench.robustness.verdict import Bound, Status, bounds_kept
 

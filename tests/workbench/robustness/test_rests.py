@@ -10,8 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workbench.errors import InputError
-from workbench.robustness import envelopes
-from workbench.robustness.envelopes import Course, dual, kernel, nominal, replay, starts, worst
+from workbench.robustness.envelopes import dual as dual_module
+from workbench.robustness.envelopes.adversary import worst
+from workbench.robustness.envelopes.course import Course, nominal, replay
+from workbench.robustness.envelopes.dual import dual
+from workbench.robustness.envelopes.kernel import kernel, starts
+from workbench.robustness.envelopes.problem import Problem
 from workbench.robustness.rests import Rest
 
 
@@ -174,9 +178,9 @@ def test_a_proof_for_one_start_is_none_for_a_wider_one():
 def test_the_slope_of_the_bound_is_its_slope_for_starts_too():
     course = resting(5, g=2)
     found, outer = worst(course, [("v", 9, -1)]), kernel(course)
-    problem = envelopes._Problem(course, 0, 9, -1.0, 0, outer)
-    path = envelopes._along(course, 0, 9, -1.0, found.delta[0], found.start[0])
-    at = next(a for a in map(problem.started, envelopes._first_multipliers(course, path, problem.k)) if a is not None)
+    problem = Problem(course, 0, 9, -1.0, 0, outer)
+    path = dual_module._along(course, 0, 9, -1.0, found.delta[0], found.start[0])
+    at = next(a for a in map(problem.started, dual_module._first_multipliers(course, path, problem.k)) if a is not None)
     for i in (0, 7, *range(len(at.x) - 4, len(at.x))):  # multipliers of the start last
         step = 1e-5 * np.eye(len(at.x))[i]
         slope = (problem.at(at.x + step).value - problem.at(at.x - step).value) / 2e-5

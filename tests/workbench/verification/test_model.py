@@ -13,7 +13,7 @@ from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, Powers, Predictor, Term
-from workbench.robustness.envelopes import nominal
+from workbench.robustness.envelopes.course import nominal
 from workbench.robustness.limits import Limit
 from workbench.robustness.loop import course, course_of, driven, machine_with_errors, with_rates
 from workbench.robustness.verdict import Bound, Status
