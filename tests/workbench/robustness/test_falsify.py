@@ -13,7 +13,9 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.physics.controller import Playback, content_of
 from workbench.physics.extension import extension
-from workbench.physics.plant import Parameter, Plant, Start
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 from workbench.robustness.falsify import trials
 from workbench.robustness.falsify.box import Dimension, fitted_box, tolerance_box
 from workbench.robustness.falsify.counterexample import load_counterexample

@@ -14,7 +14,8 @@ import numpy as np
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
 from workbench.physics.controller import Controller, Stepped
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import RecordError, field, record
 from workbench.robustness.falsify.reading import AGAIN, expect, finite_number, finite_numbers, finite_series
 from workbench.robustness.limits import BOUNDS, RANGE, Excess, Limit, resolved, setpoint_of

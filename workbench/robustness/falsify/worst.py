@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.falsify.box import Dimension, polar
 from workbench.robustness.falsify.counterexample import Counterexample, excess_sentence
