@@ -3,7 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from controllers.code import c_code, identifier, st_code
+from controllers.code.c99 import c_code
+from controllers.code.names import identifier
+from controllers.code.structured_text import st_code
 from controllers.mpc import MPC
 from controllers.receding import Receding
 from controllers.scheduled_pid import ScheduledPID

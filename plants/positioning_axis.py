@@ -7,7 +7,8 @@ The nominal model leaves out dry friction and offset on purpose: finding them is
 
 from workbench.data import Channel
 from workbench.physics.effects.shaft import Slide
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 
 
 def equation(x, u, p, at):

@@ -20,7 +20,9 @@ from workbench.physics.effects.reel import Reel
 from workbench.physics.effects.shaft import Shaft
 from workbench.physics.effects.span import Span
 from workbench.physics.effects.winding import Winding
-from workbench.physics.plant import Parameter, Plant, Start
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 
 
 def equation(x, u, p, at):

@@ -15,7 +15,8 @@ unbalance that changes with the arm's configuration (arm-gravity), and a platfor
 from workbench.data import Channel
 from workbench.physics.effects.robot import Robot
 from workbench.physics.effects.shaft import Slide
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 
 
 def equation(x, u, p, at):

@@ -38,7 +38,8 @@ from workbench.diagnosis.screen import scores, signatures, small_sizes, variants
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.physics.extension import extension
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.readers import read_file
 from workbench.records import field, record

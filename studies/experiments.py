@@ -20,7 +20,8 @@ from workbench.data import Experiment
 from workbench.diagnosis.experiments import Template
 from workbench.errors import check_known
 from workbench.physics.controller import Playback
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.simulation import Scenario, simulate
 

@@ -24,7 +24,8 @@ from workbench.data import Dataset
 from workbench.identification.lti import LTI
 from workbench.identification.ssm import SSM
 from workbench.lpv import LPVModel
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import record
 from workbench.rehearsal import Rehearsal, calmest, rehearsal
 from workbench.robustness.frozen import Bounds

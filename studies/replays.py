@@ -12,7 +12,7 @@ from workbench.errors import InputError
 from workbench.files import nullable, write_json
 from workbench.provenance import provenance
 from workbench.readers import write_csv
-from workbench.robustness.falsify import SAME, Counterexample, load_counterexample, same
+from workbench.robustness.falsify.counterexample import SAME, Counterexample, load_counterexample, same
 from workbench.robustness.sequences import Broken, is_sequence, load_sequence
 
 Say = Callable[[str], None]

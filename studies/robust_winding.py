@@ -35,7 +35,8 @@ from workbench.report.blocks import Block, Provenance, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
-from workbench.robustness.falsify import at_random, tolerance_box, worst_plant
+from workbench.robustness.falsify.box import tolerance_box
+from workbench.robustness.falsify.search import at_random, worst_plant
 from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
 from workbench.robustness.loop import course_of, driven, machine_with_errors

@@ -41,7 +41,7 @@ from workbench.intervals.regression import IntervalRegression, InTime
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import Horizon, Score, Split, score
-from workbench.physics.plant import EffectSizes
+from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import check_units, write_csv
 from workbench.records import field, record

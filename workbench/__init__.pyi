@@ -47,9 +47,9 @@ from .physics.effects.shaft import Shaft as Shaft
 from .physics.effects.shaft import Slide as Slide
 from .physics.effects.span import Span as Span
 from .physics.effects.winding import Winding as Winding
-from .physics.plant import Parameter as Parameter
+from .physics.parameters import Parameter as Parameter
 from .physics.plant import Plant as Plant
-from .physics.plant import Start as Start
+from .physics.rest import Start as Start
 from .readers import write_csv as write_csv
 from .residuals import residual_test as residual_test
 from .simulation import Scenario as Scenario

@@ -14,7 +14,8 @@ of the output that moves fastest; 20 samples a period of f are kept.
 import numpy as np
 
 from workbench.data import SAME_DT, Dataset, bad_stamps
-from workbench.physics.plant import SAME_TIMES, SIXTY, Plant
+from workbench.physics.plant import Plant
+from workbench.physics.sample_time import SAME_TIMES, SIXTY
 
 FASTER = 5.0  # a record is thinned out where it is sampled so many times faster than its plant
 OVERSAMPLED = 200.0  # and without a plant where a period of its fastest motion has so many samples

@@ -14,7 +14,8 @@ from workbench.data import SAME_DT, Channel, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.physics import stepper
 from workbench.physics.controller import Controller, Loop, Playback, Stepped
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 

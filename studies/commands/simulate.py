@@ -17,7 +17,7 @@ from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.lpv import MUCH
 from workbench.physics.controller import Loop
-from workbench.physics.plant import EffectSizes
+from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_file, write_csv
 

@@ -19,7 +19,8 @@ from workbench.errors import InputError, check_known
 from workbench.files import read_json, sha256
 from workbench.metrics import tracking
 from workbench.physics.controller import Controller
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
 from workbench.simulation import LeftRangeError, Scenario, lost_command, simulate, simulate_batch

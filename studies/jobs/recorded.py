@@ -12,7 +12,8 @@ from plants import PLANTS
 from studies.experiments import EXPERIMENTS, measured, plan
 from workbench.data import Dataset, Experiment
 from workbench.errors import InputError, check_known
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.sweeps import Factor, Point
 from workbench.toml import Table

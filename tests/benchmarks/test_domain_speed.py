@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from workbench.intervals.domains import Hull, aggregate
+from workbench.intervals.domains.aggregation import aggregate
+from workbench.intervals.domains.shapes import Hull
 
 pytestmark = pytest.mark.bench
 

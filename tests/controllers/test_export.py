@@ -8,7 +8,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from controllers.code import WIDTH, c_code, identifier, st_code
+from controllers.code.c99 import c_code
+from controllers.code.names import identifier
+from controllers.code.structured_text import st_code
+from controllers.code.text import WIDTH
 from controllers.mpc import design_mpc
 from controllers.pid import pid
 from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID

@@ -15,7 +15,8 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import PiecewiseLinear, Powers
 from workbench.physics import stepper
-from workbench.physics.plant import Plant, Start
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 from workbench.records import RecordError
 from workbench.simulation import Scenario, simulate
 

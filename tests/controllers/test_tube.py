@@ -15,7 +15,7 @@ from controllers.tables import mpc_matrices
 from controllers.tube import design_tube, predictor_observer
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.intervals.domains import Box
+from workbench.intervals.domains.shapes import Box
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox

@@ -26,7 +26,9 @@ from workbench.report import figures
 from workbench.report.archive import read_report
 from workbench.report.blocks import Report, Section, Table, Text
 from workbench.report.page import write_report
-from workbench.robustness.falsify import fitted_box, load_counterexample, tolerance_box, worst_plant
+from workbench.robustness.falsify.box import fitted_box, tolerance_box
+from workbench.robustness.falsify.counterexample import load_counterexample
+from workbench.robustness.falsify.search import worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre, load_limits
 from workbench.robustness.margins import margin
 from workbench.robustness.sequences import Growth, load_sequence

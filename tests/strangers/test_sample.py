@@ -7,7 +7,7 @@ from studies.hidden_scores import misled
 from studies.strangers import configured, run_case, said
 from tests.strangers.case import Kind, draw, machine_of
 from tests.strangers.registry import MACHINES
-from workbench.diagnosis.check import check
+from workbench.diagnosis.check.records import check
 from workbench.diagnosis.predictor import predictor
 
 FIRST = 5_000_000  # chosen once, before anything was run

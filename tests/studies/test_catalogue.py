@@ -9,7 +9,8 @@ from studies.catalogue import DOCS, PAGES, entries
 from studies.cli import main
 from workbench.data import Channel
 from workbench.physics.effects import EFFECTS
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 
 
 @pytest.mark.parametrize("name", PAGES)

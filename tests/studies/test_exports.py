@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.code import c_code, st_code
+from controllers.code.c99 import c_code
+from controllers.code.structured_text import st_code
 from controllers.files import save_controller
 from controllers.mpc import design_mpc
 from controllers.nmpc import design_nmpc

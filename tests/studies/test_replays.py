@@ -11,7 +11,8 @@ from plants import WELDING_ROBOT
 from studies.cli import main
 from workbench.physics.controller import content_of
 from workbench.readers import read_file
-from workbench.robustness.falsify import Dimension, tolerance_box, worst_plant
+from workbench.robustness.falsify.box import Dimension, tolerance_box
+from workbench.robustness.falsify.search import worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre
 
 LAW = pid(("u",), ("v",), ("v_set",), 0.02, Kp=[[6.0]], Ki=[[8.0]], low=(-4.0,), high=(4.0,))

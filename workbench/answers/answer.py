@@ -13,7 +13,7 @@ import numpy as np
 
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.decimation import thinned
-from workbench.diagnosis.check import check
+from workbench.diagnosis.check.records import check
 from workbench.errors import InputError, NotHandedOutError
 from workbench.physics.extension import Extension
 from workbench.physics.plant import Plant

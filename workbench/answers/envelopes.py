@@ -7,7 +7,7 @@ import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment, bad_stamps
 from workbench.intervals.coverage import SAYS_NOTHING, Coverage, pooled
-from workbench.intervals.domains import shadow
+from workbench.intervals.domains.shadow import shadow
 from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import IntervalRegression

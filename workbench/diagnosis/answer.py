@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.physics.plant import EffectSizes
+from workbench.physics.parameters import EffectSizes
 from workbench.records import field, record
 
 ROUNDED = "quantisation"  # the effect whose cause is the step of the readings: it says how good a prediction can be

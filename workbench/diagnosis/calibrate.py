@@ -22,7 +22,8 @@ from workbench.diagnosis.recalibrate import Calibrated, recalibrated, unknowns
 from workbench.diagnosis.referee import Judge, as_given
 from workbench.diagnosis.refit import Model, lasting
 from workbench.errors import InputError, check_known
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 TWO_SIDED = 1.959964  # standard deviations on either side of 95 %

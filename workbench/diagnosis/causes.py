@@ -19,7 +19,8 @@ from workbench.diagnosis.scan import ONCE
 from workbench.diagnosis.screen import Signature
 from workbench.diagnosis.search import Step, effect_and_place, measurable
 from workbench.diagnosis.sizes import sizes_of
-from workbench.physics.plant import Plant, Slot
+from workbench.physics.parameters import Slot
+from workbench.physics.plant import Plant
 
 TOGETHER = "without the other causes it explains next to nothing: together they may stand for something else"
 

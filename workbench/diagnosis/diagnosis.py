@@ -25,7 +25,7 @@ from workbench.diagnosis.causes import (
     rounding_limits,
     untestable_effects,
 )
-from workbench.diagnosis.check import check
+from workbench.diagnosis.check.records import check
 from workbench.diagnosis.combinations import divided
 from workbench.diagnosis.experiments import Template
 from workbench.diagnosis.findings import forgiven, judged, searched, tells, with_free_runs, with_rounding

@@ -19,7 +19,8 @@ from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain, Effect, Named
 from workbench.physics.effects.robot import Robot
 from workbench.physics.effects.shaft import Slide
-from workbench.physics.plant import EffectSizes, Plant, Slot
+from workbench.physics.parameters import EffectSizes, Slot
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 BINS = 24  # along what it depends on

@@ -30,7 +30,8 @@ from workbench.diagnosis.predictor import Point, predictor
 from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
 from workbench.physics.controller import Controller
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.simulation import Scenario, simulate
 

@@ -35,7 +35,8 @@ from workbench.diagnosis.rivals import Rival, best_first, closest_rival, gap_bet
 from workbench.diagnosis.rounding import rounded
 from workbench.diagnosis.screen import Score, Signature, scores, signatures, similarity, small_sizes, variants
 from workbench.physics.effects.effect import Domain
-from workbench.physics.plant import Plant, Slot
+from workbench.physics.parameters import Slot
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 PLAY, RESONANCE = "backlash", "sensor-resonance"

@@ -6,7 +6,7 @@ from workbench.diagnosis.answer import Estimate
 from workbench.diagnosis.policy import LEAST
 from workbench.diagnosis.profile import profile, rough
 from workbench.diagnosis.refit import Model
-from workbench.physics.plant import EffectSizes
+from workbench.physics.parameters import EffectSizes
 
 
 def beyond_tolerance(base: Model, model: Model) -> tuple[str, ...]:

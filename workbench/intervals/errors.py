@@ -19,7 +19,7 @@ import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment, bad_stamps
 from workbench.errors import InputError
-from workbench.intervals.domains import Box
+from workbench.intervals.domains.shapes import Box
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regression import spans_of
 from workbench.intervals.regressors import FIR, Samples, samples

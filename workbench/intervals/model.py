@@ -20,7 +20,8 @@ from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
 from workbench.intervals.arithmetic import dot, matmul
-from workbench.intervals.domains import Domain, domain_from_dict, nearest
+from workbench.intervals.domains.choice import nearest
+from workbench.intervals.domains.shapes import Domain, domain_from_dict
 from workbench.intervals.envelopes import FreeRun, free_run
 from workbench.intervals.propagation import Recursion, nominal
 from workbench.intervals.regressors import ARX, FIR, Form, Samples, Structure, samples

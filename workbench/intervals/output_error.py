@@ -23,7 +23,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.errors import InputError
-from workbench.intervals.domains import Hull
+from workbench.intervals.domains.shapes import Hull
 from workbench.intervals.model import IntervalModel, Mode, Simulation, domain_coordinates
 from workbench.intervals.propagation import kernel
 from workbench.intervals.regression import error_bounds, named_output, spans_of

@@ -17,7 +17,8 @@ from workbench.advice import quantum
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.intervals.boxes import BoxProgram, Verified, box_program, smallest_of
-from workbench.intervals.domains import Aggregation, Box, Domain, Hull, aggregate
+from workbench.intervals.domains.aggregation import Aggregation, aggregate
+from workbench.intervals.domains.shapes import Box, Domain, Hull
 from workbench.intervals.model import IntervalModel, Mode, Span, domain_coordinates
 from workbench.intervals.regressors import ARX, Samples, Structure, samples
 from workbench.intervals.semantics import InclusionAll, Semantics

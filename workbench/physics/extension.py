@@ -13,7 +13,8 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
-from workbench.physics.plant import EffectSizes, Plant
+from workbench.physics.parameters import EffectSizes
+from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 SCHEMA, VERSION = "gain-scheduling-workbench/plant", 1

@@ -16,7 +16,8 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.lpv import LPVModel
 from workbench.physics.effects.effect import Named, Port
-from workbench.physics.plant import Plant, Start
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 from workbench.records import record
 
 ROUNDING = 1e-12  # of the largest variance: what a covariance needs to have a root

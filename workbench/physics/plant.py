@@ -19,92 +19,15 @@ from workbench.data import SAME_DT, Channel
 from workbench.errors import InputError, check_known
 from workbench.physics.effects import effects_of
 from workbench.physics.effects.actuator import Actuator, Driven
-from workbench.physics.effects.effect import FOREVER, Effect, EffectParameter, Named
+from workbench.physics.effects.effect import FOREVER, Effect, Named
 from workbench.physics.effects.sensor import Sensor
 from workbench.physics.own_effects import check_own
+from workbench.physics.parameters import EffectSizes, Parameter, Slot
+from workbench.physics.parts import Opened, Parted
+from workbench.physics.rest import Start, equilibria, several
+from workbench.physics.sample_time import other_time
 from workbench.physics.symbolic import column, entries, symbolic_numpy
-from workbench.readers import UNITS
 from workbench.records import field, record
-
-OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than its machine has its time in another unit
-SIXTY = (60.0, 3600.0)  # so has one that is sampled so many times more slowly or faster
-SAME_TIMES = 0.02  # to within that
-SIZES = tuple(sign * size for sign in (1.0, -1.0) for size in (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3))  # see Start
-SHRUNK = (0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)  # of a guess, at the last
-
-
-@record
-class Parameter:
-    """A physical constant; tolerance is the relative half-width that a data sheet leaves open.
-
-    signed: it may be zero or negative; what is not (a mass, a stiffness, a resistance) is refused at such values.
-    """
-
-    name: str
-    value: float = field("")
-    unit: str = ""
-    tolerance: float = field("", low=0.0, default=0.0)
-    meaning: str = ""
-    signed: bool = False
-
-
-@record
-class _OtherTime:
-    """What may be wrong with a time column, and what mends it."""
-
-    question: str
-    factor: float = field("")
-
-
-def _other_time(ratio: float) -> _OtherTime | None:
-    """What is wrong with the time of a record that is sampled every `ratio` sample times of its machine, None for nothing."""
-    times = {name: unit.factor for name, unit in UNITS.items() if unit.quantity == "time"}
-    for name, factor in times.items():
-        if factor in SIXTY and abs(ratio / factor - 1.0) <= SAME_TIMES:
-            return _OtherTime(f"was its time in s, and taken for {name}", 1.0 / factor)
-    sixty = any(abs(ratio * factor - 1.0) <= SAME_TIMES for factor in SIXTY)
-    if not sixty and max(ratio, 1.0 / ratio) <= OTHER_TIME:
-        return None
-    unit = min(times, key=lambda name: abs(np.log(ratio * times[name])))
-    return _OtherTime(f"is its time in {unit}", times[unit])
-
-
-@record
-class Start:
-    """Where a run starts: `fixed` state values (numbers or parameter names), the rest solved so that `zero` stand still.
-
-    Unknowns `solve_for` (states or inputs) are found from derivative = 0 of as many states in `zero`; whatever is named
-    nowhere starts at 0. Newton's method begins at `guess`, by default 0. Where it fails there (a tank's outflow has no slope at
-    level 0, a thrust of u^2 none at u = 0), unknowns without a guess within the limits begin at 1, 0.1, 10, 0.01, 100, 0.001 and
-    1000, then at their negatives, and guesses are stretched by as much, in the end shrunk to a tenth and by tens down to a
-    millionth (a root that is guarded against negative levels has no slope there, where steps from too high a level end). The
-    first that ends at rest within the plant's limits is taken. So of two answers +u and -u the positive one is; `guess` asks for
-    the other.
-    """
-
-    fixed: Mapping[str, float | str] = field(default_factory=dict)
-    solve_for: tuple[str, ...] = ()
-    zero: tuple[str, ...] = ()
-    guess: Mapping[str, float] = field(default_factory=dict)
-
-
-@record
-class Slot:
-    """One number of one effect at one place: coulomb@unwind:level."""
-
-    effect: Effect
-    place: str
-    parameter: EffectParameter
-
-    @property
-    def key(self) -> str:
-        return f"{self.effect.id}@{self.place}"
-
-    def __str__(self) -> str:
-        return f"{self.key}:{self.parameter.name}"
-
-
-EffectSizes = Mapping[str, Mapping[str, float]]  # {"coulomb@unwind": {"level": 0.002}}
 
 
 @record
@@ -171,7 +94,7 @@ class Plant:
         for name in self.start.zero:
             check_known("state", name, self.state_names, file=f"{self.name}, Start")
         if len(self.start.solve_for) != len(self.start.zero):
-            unknowns, equations = _several(self.start.solve_for, "unknown"), _several(self.start.zero, "rate")
+            unknowns, equations = several(self.start.solve_for, "unknown"), several(self.start.zero, "rate")
             mend = "solve for as many states and inputs as rates shall be 0"
             raise InputError(f"{unknowns}, but {equations} that shall be 0", file=f"{self.name}, Start", mend=mend)
         for port in self.ports:
@@ -213,7 +136,7 @@ class Plant:
             return self
         if self.discrete:
             raise InputError(f"sampled every {dt:g} s, {self.name} every {self.dt:g} s", file=file, mend="resample the record")
-        if slip := _other_time(dt / self.dt):
+        if slip := other_time(dt / self.dt):
             raise InputError(
                 f"sampled every {dt:g} s, {self.name} every {self.dt:g} s: {slip.question}?",
                 file=file,
@@ -371,7 +294,7 @@ class Plant:
         """Rates of change of the effects' own states, in the order of `inner`; arguments as for `derivative`."""
         return self._rates(x, u, p, eta, t, angle, inner, rate)[len(self.states) :]
 
-    def _rates(self, x, u, p, eta, t, angle, inner, rate, opened: "_Opened | None" = None) -> list:
+    def _rates(self, x, u, p, eta, t, angle, inner, rate, opened: Opened | None = None) -> list:
         """Rates of change of the states and of the effects' own states; the laws of `opened` stand for themselves."""
         seen = {
             "x": dict(zip(self.state_names, x, strict=True)),
@@ -454,7 +377,7 @@ class Plant:
         own = self._numbers_at[family, place]
         return [(effect, Named({name: eta[i] for name, i in numbers.items()})) for effect, numbers in own]
 
-    def _places(self, seen: dict[str, Any], eta, opened: "_Opened | None") -> Named:
+    def _places(self, seen: dict[str, Any], eta, opened: Opened | None) -> Named:
         context = Named(seen)
         verbs: dict[str, dict] = {}
         for port in self.ports:
@@ -496,9 +419,9 @@ class Plant:
         return ca.Function(self._identifier, list(s.values()), [column(dx), column(y)], list(s), ["dx", "y"])
 
     @cached_property
-    def parted(self) -> "Parted":
+    def parted(self) -> Parted:
         """The same equation with the laws of its effects taken out, so that what is off need not be computed."""
-        opened = _Opened(self.symbols)
+        opened = Opened(self.symbols)
         return Parted(column(self._traced_rates(opened)), tuple(opened.parts))
 
     @cached_property
@@ -524,7 +447,7 @@ class Plant:
             found += [] if means else [name]
         return tuple(found)
 
-    def _traced_rates(self, opened: "_Opened | None") -> list:
+    def _traced_rates(self, opened: Opened | None) -> list:
         s = {name: entries(symbol) for name, symbol in self.symbols.items()}
         try:
             with symbolic_numpy():
@@ -573,9 +496,9 @@ class Plant:
 
     def jacobians_of(self, x: np.ndarray, u: np.ndarray, p: np.ndarray, eta: np.ndarray, *, t: float = 0.0) -> list[np.ndarray]:
         """A (R, nx, nx), B (R, nx, nu), C (R, ny, nx) at R points and time t [s]; arguments (R, ...)."""
-        return [J.transpose(0, 2, 1) for J in self._evaluated(self.jacobians, x, u, p, eta, t)]
+        return [J.transpose(0, 2, 1) for J in self.evaluated(self.jacobians, x, u, p, eta, t)]
 
-    def _evaluated(self, function: ca.Function, x, u, p, eta, t: float = 0.0) -> list[np.ndarray]:
+    def evaluated(self, function: ca.Function, x, u, p, eta, t: float = 0.0) -> list[np.ndarray]:
         """Results of a function of the symbols at R points, each (R, columns, rows): one call for all of them."""
         R = len(x)
         angle, inner, rate = (np.zeros((len(names), R)) for names in (self.turning, self.inner, self.swinging))
@@ -612,133 +535,7 @@ class Plant:
         to be solved for replaces the solution: the plant then starts beside its equilibrium. Raises InputError, with the number
         of unknowns and equations, where nothing is found.
         """
-        if len(p) > 1:  # in a sweep over seeds or effects few differ
-            rows, which = np.unique(p, axis=0, return_inverse=True)
-            if len(rows) < len(p):
-                x, u = self.equilibria(rows, **fixed)
-                return x[which.ravel()], u[which.ravel()]
-        names = (*self.state_names, *self.input_names)
-        z = np.zeros((len(p), len(names)))
-        for name, value in (dict(self.start.guess) | dict(self.start.fixed) | fixed).items():
-            check_known("state or input", name, names, file=self.name)
-            own = [q.name for q in self.parameters]
-            column = p[:, own.index(check_known("parameter", value, own, file=self.name))] if isinstance(value, str) else value
-            z[:, names.index(name)] = column
-        unknown = [names.index(name) for name in self.start.solve_for]
-        if unknown:
-            guess = z[:, unknown]
-            z = self._still(z, p)
-            low, high = np.array([self.limits.get(name, (-np.inf, np.inf)) for name in self.start.solve_for]).T
-            inside = ((z[:, unknown] >= low) & (z[:, unknown] <= high)).all(axis=1)  # false of what is no number
-            for i in np.flatnonzero(~inside):
-                z[i] = self._searched(z[i], guess[i], p[i], low, high)
-        for name in set(fixed) & set(self.start.solve_for):
-            z[:, names.index(name)] = fixed[name]
-        return z[:, : len(self.states)], z[:, len(self.states) :]
-
-    def _still(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """z (R, nx + nu) with the unknowns of `start` where Newton's method from there ends, NaN where it does not converge."""
-        unknown = [(*self.state_names, *self.input_names).index(name) for name in self.start.solve_for]
-        z, moving = z.copy(), np.ones(len(z), dtype=bool)
-        with np.errstate(invalid="ignore", over="ignore"):
-            for _ in range(50):
-                rates, J = self._rates_at(z, p)
-                step = np.where((rates == 0.0).all(axis=1, keepdims=True), 0.0, _solved(J, rates))  # u^2 at rest has no slope
-                z[:, unknown] -= np.where(moving[:, None], step, 0.0)
-                moving &= ~(np.max(np.abs(step) / (1.0 + np.abs(z[:, unknown])), axis=1) < 1e-13)
-                if not moving.any():
-                    break
-        z[np.flatnonzero(moving)[:, None], unknown] = np.nan
-        return z
-
-    def _searched(self, z: np.ndarray, guess: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """A point z (nx + nu) at rest within the limits, sought from the guess and around it: see `Start`.
-
-        Damped least squares passes the places where a root has no slope or a square none, Newton's method ends it.
-        """
-        from scipy.optimize import least_squares
-
-        unknown = [(*self.state_names, *self.input_names).index(name) for name in self.start.solve_for]
-        outside, trial = z, z.copy()
-
-        slopes: Any = lambda values: at(values)[1]  # noqa: E731  (its declared type knows words only)
-
-        def at(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            trial[unknown] = values
-            rates, J = self._rates_at(trial[None], p[None])
-            return rates[0], J[0]
-
-        nearest, away, moves = guess, np.inf, np.zeros((len(self.start.zero), len(unknown)), dtype=bool)
-        none = (guess == 0.0) | (guess < low) | (guess > high)
-        for size, factor in (*((size, 1.0 + size) for size in (0.0, *SIZES)), *zip(SHRUNK, SHRUNK, strict=True)):
-            first = np.clip(np.where(none, size, guess * factor), low, high)
-            rates, J = at(first)
-            moves |= J != 0.0
-            if not (np.isfinite(rates).all() and np.isfinite(J).all()):
-                continue
-            bounds = low - 1e-9 * np.abs(low) - 1e-300, high + 1e-9 * np.abs(high) + 1e-300  # a guess may lie at a limit
-            try:
-                with np.errstate(all="ignore"):
-                    found = least_squares(lambda v: at(v)[0], first, slopes, bounds, x_scale="jac").x
-            except (ValueError, np.linalg.LinAlgError):  # a slope that is no number on the way
-                continue
-            trial[unknown] = found
-            rest = self._still(trial[None], p[None])[0]
-            if ((rest[unknown] >= low) & (rest[unknown] <= high)).all():
-                return rest
-            left = float(np.max(np.abs(at(found)[0])))
-            if left < away:
-                nearest, away = found, left
-        if np.isfinite(outside).all():
-            return outside
-        raise self._no_start(nearest, away, moves)
-
-    def _rates_at(self, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rates (R, n) of the states in `start.zero` at z (R, nx + nu), and their slopes (R, n, n) over the unknowns."""
-        names = (*self.state_names, *self.input_names)
-        unknown = [names.index(name) for name in self.start.solve_for]
-        zero = [self.state_names.index(name) for name in self.start.zero]
-        nx, eta = len(self.states), np.repeat(self.neutral[None], len(p), axis=0)
-        rates = self._evaluated(self.traced, z[:, :nx], z[:, nx:], p, eta)[0][:, 0, zero]
-        A, B, _C = self.jacobians_of(z[:, :nx], z[:, nx:], p, eta)
-        return rates, np.concatenate([A, B], axis=2)[:, zero][:, :, unknown]
-
-    def _no_start(self, nearest: np.ndarray, away: float, moves: np.ndarray) -> InputError:
-        """Where the search for a start came nearest, or what keeps it from one answer; moves: which unknown acts on what."""
-        start = self.start
-        counted = f"{_several(start.solve_for, 'unknown')} from {_several(start.zero, 'rate')} that shall be 0"
-        idle = [name for j, name in enumerate(start.solve_for) if not moves[:, j].any()]
-        held = [name for i, name in enumerate(start.zero) if not moves[i].any()]
-        if idle or held:
-            fault = f"{', '.join(idle)} acts on none of these rates" if idle else f"none acts on the rate of {', '.join(held)}"
-            mend = f"fix {', '.join(idle) or 'other values'} and solve for what moves {', '.join(held or start.zero)}"
-            return InputError(f"no start: {counted}; {fault}", file=self.name, mend=mend)
-        came = ", ".join(f"{name} = {value:.4g}" for name, value in zip(start.solve_for, nearest, strict=True))
-        far = (
-            f"came no nearer than {came}, where a rate of {away:.3g} is left"
-            if np.isfinite(away)
-            else "found no place with finite rates"
-        )
-        return InputError(
-            f"no start found: {counted}; {1 + len(SIZES) + len(SHRUNK)} tries from the guess {far}",
-            file=self.name,
-            mend="are parameters and fixed values possible together? otherwise give Start(guess={...}) near where it stands",
-        )
-
-
-def _solved(J: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """J^-1 rates (R, n), NaN where J (R, n, n) is singular or not finite: an endless slope makes a step of 0 of any rate."""
-    rates = np.where(np.asarray(np.isfinite(J).all(axis=(1, 2)))[:, None], rates, np.nan)
-    try:
-        return np.linalg.solve(J, rates[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        if len(J) == 1:
-            return np.full_like(rates, np.nan)
-        return np.concatenate([_solved(J[i : i + 1], rates[i : i + 1]) for i in range(len(J))])
-
-
-def _several(names: Sequence[str], noun: str) -> str:
-    return f"{len(names)} {noun}{'s' * (len(names) != 1)} ({', '.join(names)})"
+        return equilibria(self, p, fixed)
 
 
 def _by_name(names, values) -> dict:
@@ -749,52 +546,3 @@ def shares(values: Sequence, n: int) -> list[Sequence]:
     """A sequence in n equal shares."""
     each = len(values) // n if n else 0  # a plant that nothing commands has no shares
     return [values[i * each : (i + 1) * each] for i in range(n)]
-
-
-@record
-class Part:
-    """What one law gives: its values (n, 1), the symbols (n, 1) that stand for them, and the indices in eta of its sizes.
-
-    While all its sizes are 0, the values are 0. They may hold the symbols of the earlier parts whose indices are in `after`.
-    """
-
-    sizes: tuple[int, ...]
-    values: ca.SX
-    symbols: ca.SX
-    after: tuple[int, ...]
-
-
-@record
-class Parted:
-    """Rates of change of the states and of the effects' own states (n, 1), in terms of the parts."""
-
-    rates: ca.SX
-    parts: tuple[Part, ...]
-
-
-class _Opened:
-    """Effects whose laws are written down apart while an equation is traced."""
-
-    def __init__(self, symbols: Mapping[str, ca.SX]):
-        self.moving = ca.vertcat(*(symbol for name, symbol in symbols.items() if name not in ("p", "eta")))
-        self.parts: list[Part] = []
-
-    def stand_in(self, effect: Effect, numbers: Mapping[str, int]) -> Effect:
-        """The effect with a law that notes its values and returns symbols."""
-        sizes = tuple(numbers[p.name] for p in effect.sizes)
-
-        def law(*arguments):
-            result = effect.law(*arguments)
-            values = list(result) if isinstance(result, tuple) else [result]
-            # what does not change during a run is computed once and needs no part
-            own = [i for i, value in enumerate(values) if ca.depends_on(ca.SX(value), self.moving)]
-            if own:
-                symbols, taken = ca.SX.sym(f"part{len(self.parts)}", len(own)), column([values[i] for i in own])
-                after = tuple(j for j, part in enumerate(self.parts) if ca.depends_on(taken, part.symbols))
-                self.parts.append(Part(sizes, taken, symbols, after))
-                self.moving = ca.vertcat(self.moving, symbols)
-                for i, symbol in zip(own, entries(symbols), strict=True):
-                    values[i] = symbol
-            return tuple(values) if isinstance(result, tuple) else values[0]
-
-        return replace(effect, law=law)

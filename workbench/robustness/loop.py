@@ -25,7 +25,7 @@ import numpy as np
 
 from workbench.data import SAME_DT
 from workbench.errors import InputError
-from workbench.intervals.domains import nearest
+from workbench.intervals.domains.choice import nearest
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Simulation
 from workbench.intervals.semantics import ParameterBox

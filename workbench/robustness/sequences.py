@@ -3,7 +3,7 @@
     growth     the parameters of a frozen loop in turn, again and again: the product of its matrices has a pole outside the circle
     passage    parameters along a run of model, errors and law: a signal leaves its bound
 
-Both hold every number that they need; what a replay finds must agree with what the file says (`falsify.same`).
+Both hold every number that they need; what a replay finds must agree with what the file says (`falsify.counterexample.same`).
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -23,7 +23,7 @@ from workbench.report import figures
 from workbench.report.blocks import Block, Table
 from workbench.robustness.envelopes.course import Course
 from workbench.robustness.envelopes.kernel import kernel
-from workbench.robustness.falsify import same
+from workbench.robustness.falsify.counterexample import same
 from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre

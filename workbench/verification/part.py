@@ -7,7 +7,7 @@ from pathlib import Path
 from workbench.physics.controller import content_of
 from workbench.records import field, record
 from workbench.report.blocks import Block
-from workbench.robustness.falsify import Counterexample
+from workbench.robustness.falsify.counterexample import Counterexample
 from workbench.robustness.sequences import Broken, Witness
 from workbench.robustness.verdict import Verdict
 

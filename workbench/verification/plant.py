@@ -12,14 +12,10 @@ from workbench.physics.controller import Controller, content_of
 from workbench.physics.plant import Plant
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
-from workbench.robustness.falsify import (
-    Dimension,
-    Worst,
-    at_random,
-    counterexample_of,
-    tolerance_box,
-    worst_plant,
-)
+from workbench.robustness.falsify.box import Dimension, tolerance_box
+from workbench.robustness.falsify.counterexample import counterexample_of
+from workbench.robustness.falsify.search import at_random, worst_plant
+from workbench.robustness.falsify.worst import Worst
 from workbench.robustness.limits import LoopLimits, resolved
 from workbench.robustness.verdict import Status, Verdict
 from workbench.simulation import Scenario, simulate

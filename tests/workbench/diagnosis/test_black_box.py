@@ -8,7 +8,7 @@ import pytest
 from tests.workbench.diagnosis.black_box import DT, PLANT, records
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Finding
-from workbench.diagnosis.check import check
+from workbench.diagnosis.check.records import check
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.domains import shown
 from workbench.diagnosis.predictor import predictor

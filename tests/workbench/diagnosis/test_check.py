@@ -10,10 +10,12 @@ from studies.experiments import plan
 from tests.workbench.diagnosis.cases import AXIS as SMALL_AXIS
 from tests.workbench.diagnosis.cases import axis_records, robot_records, steps
 from workbench.data import Channel, Dataset, Experiment
-from workbench.diagnosis.check import check, likeness, nearest
+from workbench.diagnosis.check.likeness import likeness, nearest
+from workbench.diagnosis.check.records import check
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate
 
 WINDING, ROBOT, AXIS = (PLANTS[name] for name in ("web-winding", "welding-robot", "positioning-axis"))

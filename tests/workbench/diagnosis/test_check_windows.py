@@ -10,7 +10,7 @@ import pytest
 
 from workbench import Channel, Parameter, Plant
 from workbench.data import Dataset, Experiment
-from workbench.diagnosis.check import check
+from workbench.diagnosis.check.records import check
 from workbench.diagnosis.runs import Runner
 from workbench.errors import InputError
 

@@ -17,7 +17,8 @@ from workbench.diagnosis.fit import Term, _inverse, gauss_newton, jacobian, shar
 from workbench.diagnosis.predictor import Noise, predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.physics.controller import Playback
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate
 
 NONE = np.zeros(len(AXIS.slots))

@@ -9,7 +9,10 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from workbench.errors import InputError
-from workbench.intervals.domains import Box, Hull, Relation, aggregate, domain_from_dict, nearest, outer_box, shadow
+from workbench.intervals.domains.aggregation import Relation, aggregate
+from workbench.intervals.domains.choice import nearest
+from workbench.intervals.domains.shadow import shadow
+from workbench.intervals.domains.shapes import Box, Hull, domain_from_dict, outer_box
 
 KINDS = {"points": 0.0, "equal": 0.2, "different": None}
 

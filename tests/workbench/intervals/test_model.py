@@ -9,7 +9,7 @@ from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.intervals.coverage import cover
-from workbench.intervals.domains import Box
+from workbench.intervals.domains.shapes import Box
 from workbench.intervals.model import IntervalModel, Simulation, load_interval_model
 from workbench.intervals.output_error import OutputErrorRegression
 from workbench.intervals.regression import BySchedule, IntervalRegression, InTime

@@ -15,7 +15,8 @@ from workbench.physics.effects import EFFECTS
 from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, smooth_step
 from workbench.physics.effects.shaft import Shaft, Slide
 from workbench.physics.effects.span import Span
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate
 
 DT = 0.02

@@ -23,7 +23,8 @@ from workbench.physics.effects.span import Span
 from workbench.physics.effects.winding import Winding
 from workbench.physics.kernel import SCALAR
 from workbench.physics.own_effects import check_own
-from workbench.physics.plant import Parameter, Plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate
 
 

@@ -7,7 +7,7 @@ from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
 from plants import WELDING_ROBOT
 from workbench.data import Channel
-from workbench.intervals.domains import Box
+from workbench.intervals.domains.shapes import Box
 from workbench.intervals.model import IntervalModel, Mode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionAll, ParameterBox

@@ -13,9 +13,13 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.physics.controller import Playback, content_of
 from workbench.physics.extension import extension
-from workbench.physics.plant import Parameter, Plant, Start
-from workbench.robustness import falsify
-from workbench.robustness.falsify import Dimension, at_random, fitted_box, load_counterexample, tolerance_box, worst_plant
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
+from workbench.robustness.falsify import trials
+from workbench.robustness.falsify.box import Dimension, fitted_box, tolerance_box
+from workbench.robustness.falsify.counterexample import load_counterexample
+from workbench.robustness.falsify.search import at_random, worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre
 from workbench.simulation import Scenario, simulate
 
@@ -133,7 +137,7 @@ def test_of_several_scenarios_the_worst_is_reported():
 @pytest.fixture
 def counted(monkeypatch):
     """The last y of every run that is made."""
-    seen, original, single = [], falsify.simulate_batch, falsify.simulate
+    seen, original, single = [], trials.simulate_batch, trials.simulate
 
     def batch(plant, *rest, parameters, **options):
         run = original(plant, *rest, parameters=parameters, **options)
@@ -145,8 +149,8 @@ def counted(monkeypatch):
         seen.append(run.experiment["y"][-1])
         return run
 
-    monkeypatch.setattr(falsify, "simulate_batch", batch)
-    monkeypatch.setattr(falsify, "simulate", one)
+    monkeypatch.setattr(trials, "simulate_batch", batch)
+    monkeypatch.setattr(trials, "simulate", one)
     return seen
 
 

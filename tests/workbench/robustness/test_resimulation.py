@@ -15,7 +15,7 @@ from controllers.scheduled_pid import ScheduledPID
 from tests.workbench.robustness.loops import model as arx_model
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.intervals.domains import Box
+from workbench.intervals.domains.shapes import Box
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import ARX, FIR

@@ -13,7 +13,7 @@ from workbench.files import read_json, write_json
 from workbench.intervals.regressors import ARX
 from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.envelopes.kernel import kernel
-from workbench.robustness.falsify import same
+from workbench.robustness.falsify.counterexample import same
 from workbench.robustness.loop import UncertainLoop, driven, machine_of
 from workbench.robustness.loop import course as along
 from workbench.robustness.margins import corners, margin

@@ -7,7 +7,7 @@ import pytest
 
 from controllers.pid import pid
 from workbench.data import Channel
-from workbench.intervals.domains import Box
+from workbench.intervals.domains.shapes import Box
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import FIR

@@ -15,7 +15,8 @@ from studies.cli import main
 from tests.controllers.test_pid_design import machine
 from workbench.data import Channel
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model
-from workbench.physics.plant import Plant, Start
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 from workbench.verification.trial import along, followed, on_model, on_plant
 
 DT, WEIGHT, GAIN, DAMPING, LAG = 0.02, 20.0, 40.0, 1.5, 0.1

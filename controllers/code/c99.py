@@ -1,0 +1,268 @@
+"""A scheduled PID as C99 for a microcontroller: a header and a source."""
+
+from collections.abc import Callable
+from string import Template
+
+import numpy as np
+
+from controllers.code.constants import Table, table_sizes, tables
+from controllers.code.text import NO_LIMIT_FLOAT, basis_meaning, double_text, head_lines, plain_comment, power_text, with_comment
+from controllers.scheduled_pid import BackCalculation, ScheduledPID
+from workbench.errors import InputError
+from workbench.lpv import Gaussian, PiecewiseLinear, Powers
+
+Number = Callable[[float], str]
+C_HEADER = Template("""\
+/*
+$head
+ *
+ * C99 without allocation: all memory is in a state, and two states run two loops. Compile it without -ffast-math, for which
+ * every number is one.
+ */
+#ifndef ${NAME}_H
+#define ${NAME}_H
+
+#include <stdbool.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef $real ${name}_real;
+
+enum { ${NAME}_NU = $nu, ${NAME}_NY = $ny }; /* commands; measurements and set-points */
+
+/* What set a command: the law itself, or one of its limits. */
+enum { ${NAME}_FREE, ${NAME}_AT_LOW, ${NAME}_AT_HIGH, ${NAME}_AT_RATE };
+
+typedef struct {
+    /* memory */
+    ${name}_real z[${NAME}_NU]; /* integral parts */
+    ${name}_real f[${NAME}_NY]; /* filtered derivatives of C r - y */
+    ${name}_real d[${NAME}_NY]; /* last C r - y */
+    ${name}_real u[${NAME}_NU]; /* last commands */
+    bool cold; /* no sample yet: no derivative */
+    bool takes_over; /* the next command goes on from u */
+    /* what the last step reports */
+    bool valid; /* every number of the step was one: the last command is held where not */
+$outside    int limit[${NAME}_NU]; /* ${NAME}_FREE, _AT_LOW, _AT_HIGH or _AT_RATE */
+} ${name}_state;
+
+/* Start: the first command is that of z = 0, whatever the rate limits. */
+void ${name}_init(${name}_state *s);
+
+/* Start where these commands stand already: the first command is u itself, within the limits. */
+void ${name}_take_over(${name}_state *s, const ${name}_real u[${NAME}_NU]);
+
+/* One sample: u from set-points r, measurements y$and_rho. */
+void ${name}_step(${name}_state *s,
+    const ${name}_real r[${NAME}_NY], const ${name}_real y[${NAME}_NY], $rho${name}_real u[${NAME}_NU]);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+""")
+C_SOURCE = Template("""\
+/*
+$head
+ */
+#include "$name.h"
+
+#include <math.h>
+
+typedef ${name}_real real;
+
+enum { NU = ${NAME}_NU, NY = ${NAME}_NY$sizes };
+
+#define NO_LIMIT $no_limit
+
+$tables
+
+static real clipped(real x, real low, real high)
+{
+    return x < low ? low : x > high ? high : x; /* what is not a number stays so */
+}
+$weights
+void ${name}_init(${name}_state *s)
+{
+    *s = (${name}_state){.cold = true};
+}
+
+void ${name}_take_over(${name}_state *s, const real u[NU])
+{
+    real held[NU];
+    for (int i = 0; i < NU; ++i)
+        held[i] = u[i]; /* u may be s->u */
+    ${name}_init(s);
+    for (int i = 0; i < NU; ++i)
+        s->u[i] = held[i];
+    s->takes_over = true;
+}
+
+void ${name}_step(${name}_state *s, const real r[NY], const real y[NY], ${rho_real}real u[NU])
+{
+$schedule    s->valid = $finite;
+    for (int j = 0; j < NY; ++j)
+        s->valid = s->valid && isfinite(r[j]) && isfinite(y[j]);
+    if (!s->valid) { /* the sample is left out */
+        for (int i = 0; i < NU; ++i) {
+            u[i] = clipped(s->u[i], LOW[i], HIGH[i]);
+            s->limit[i] = ${NAME}_FREE;
+        }
+        return;
+    }
+    for (int j = 0; j < NY; ++j) {
+        const real d = C[j] * r[j] - y[j];
+        s->f[j] = s->cold ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
+        s->d[j] = d;
+    }
+    for (int i = 0; i < NU; ++i) {
+        real own = $u0; /* the command without its integral part */
+        real push = 0; /* what the error adds to the integral part */
+        for (int j = 0; j < NY; ++j) {
+            own += $Kr * r[j];
+            own += $Kp * (B[j] * r[j] - y[j]);
+            own += $Kd * s->f[j];
+            push += PERIOD * $Ki * (r[j] - y[j]);
+        }
+        if (s->takes_over)
+            s->z[i] = s->u[i] - own;
+        const real v = own + s->z[i];
+        const real way = s->cold && !s->takes_over ? NO_LIMIT : RATE[i] * PERIOD;
+        const real reached = clipped(v, s->u[i] - way, s->u[i] + way);
+        u[i] = clipped(reached, LOW[i], HIGH[i]);
+        s->limit[i] = reached < LOW[i] ? ${NAME}_AT_LOW
+            : reached > HIGH[i] ? ${NAME}_AT_HIGH
+            : reached < v || reached > v ? ${NAME}_AT_RATE
+            : ${NAME}_FREE;
+        $integral
+        s->u[i] = u[i];
+    }
+    s->cold = s->takes_over = false;
+}
+""")
+C_WEIGHTS = Template("""
+/* Weights of the coefficients: $meaning. */
+static void weights(real rho, real phi[TERMS])
+{
+$body
+}
+
+static real at(const real K[TERMS], const real phi[TERMS])
+{
+    real sum = 0;
+    for (int k = 0; k < TERMS; ++k)
+        sum += K[k] * phi[k];
+    return sum;
+}
+""")
+C_SCHEDULE = """\
+    real phi[TERMS];
+    weights(clipped(rho, SPAN[0], SPAN[1]), phi);
+    s->outside = !(rho >= SPAN[0] && rho <= SPAN[1]);
+"""
+C_LINEAR = """\
+    int k = 0;
+    while (k < TERMS - 2 && rho >= KNOTS[k + 1])
+        ++k;
+    const real share = clipped((rho - KNOTS[k]) / (KNOTS[k + 1] - KNOTS[k]), 0, 1);
+    for (int n = 0; n < TERMS; ++n)
+        phi[n] = 0;
+    phi[k] = 1 - share;
+    phi[k + 1] = share;"""
+C_BELLS = """\
+    for (int k = 0; k < BELLS; ++k)
+        phi[k] = $exp(-BETA[k] * ((rho - CENTRES[k]) * (rho - CENTRES[k])));"""
+C_SHARES = """\
+    real top = -NO_LIMIT, total = 0;
+    for (int k = 0; k < BELLS; ++k) {
+        phi[k] = -BETA[k] * ((rho - CENTRES[k]) * (rho - CENTRES[k]));
+        top = phi[k] > top ? phi[k] : top; /* taken out, for far from every centre all would be 0 */
+    }
+    for (int k = 0; k < BELLS; ++k) {
+        phi[k] = $exp(phi[k] - top);
+        total += phi[k];
+    }
+    for (int k = 0; k < BELLS; ++k)
+        phi[k] /= total;"""
+C_EVEN = """\
+    for (int k = 0; k < TERMS; ++k)
+        phi[k] = 1 + 0 * rho;"""
+C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * (u[i] - v);"
+C_CLAMPING = """\
+if (!((v - u[i]) * push > 0))
+            s->z[i] += push;"""
+
+
+def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
+    """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
+    number, f = (_float, "f") if single else (double_text, "")
+    if single:
+        _check_float(law)
+    scheduled, sizes = law.schedule is not None, table_sizes(law)
+    gain = (lambda K: f"at({K}, phi)") if scheduled else (lambda K: K)
+    weights = C_WEIGHTS.substitute(meaning=basis_meaning(law), body=_c_weights(law, f)) if scheduled else ""
+    words = {
+        "name": name, "NAME": name.upper(), "real": "float" if single else "double", "nu": sizes["NU"], "ny": sizes["NY"],
+        "head": "\n".join(f" * {plain_comment(line)}".rstrip() for line in head_lines(law)),
+        "sizes": "".join(f", {key} = {n}" for key, n in sizes.items() if key not in ("NU", "NY")),
+        "no_limit": number(np.inf), "tables": "\n".join(_c_table(table, number) for table in tables(law)),
+        "weights": weights, "schedule": C_SCHEDULE * scheduled,
+        "rho": f"{name}_real rho, " * scheduled, "rho_real": "real rho, " * scheduled, "and_rho": " and schedule rho" * scheduled,
+        "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
+        "finite": "isfinite(rho)" if scheduled else "true",
+        "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
+        "Kr": gain("KR[i][j]"),
+        "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
+    }  # fmt: skip
+    return C_HEADER.substitute(words), C_SOURCE.substitute(words)
+
+
+def _c_weights(law: ScheduledPID, f: str) -> str:
+    """Statements that fill phi at a rho within the span; f: ending of the library's functions."""
+    match law.basis:
+        case PiecewiseLinear(knots=knots) if len(knots) > 1:
+            return C_LINEAR
+        case Gaussian(centres=centres) if len(centres):
+            text = Template(C_SHARES if law.basis.normalised else C_BELLS).substitute(exp=f"exp{f}")
+            return text + "\n    phi[BELLS] = 1;" * law.basis.with_constant
+        case Powers(exponents=exponents):
+            terms = [power_text(e, "1", lambda e: f"pow{f}(x, {e}{f.upper()})") for e in exponents]
+            x = "    const real x = rho / SCALE;" + " (void)x;" * (not exponents.any())
+            return "\n".join([x, *(f"    phi[{k}] = {term};" for k, term in enumerate(terms))])
+    return C_EVEN
+
+
+def _c_table(table: Table, number: Number) -> str:
+    """static const real KP[NU][NY] = {...}; with its comments."""
+    start = f"static const real {table.name}{''.join(f'[{size}]' for size in table.sizes)} ="
+    comment = f"/* {plain_comment(table.comment)} */"
+    if not table.sizes:
+        return with_comment(f"{start} {number(float(table.values))};", comment)
+    if not table.rows:
+        return with_comment(f"{start} {{{', '.join(map(number, table.values))}}};", comment)
+    comments = iter(table.rows)
+
+    def braces(values: np.ndarray, indent: str) -> list[str]:
+        if values.ndim == 1:
+            return [with_comment(f"{indent}{{{', '.join(map(number, values))}}},", f"/* {plain_comment(next(comments))} */")]
+        return [f"{indent}{{", *(line for own in values for line in braces(own, indent + "    ")), f"{indent}}},"]
+
+    return "\n".join([f"{start} {{ {comment}", *braces(table.values, "")[1:-1], "};"])
+
+
+def _float(value: float) -> str:
+    return f"{np.float32(np.clip(value, -NO_LIMIT_FLOAT, NO_LIMIT_FLOAT))}F"
+
+
+def _check_float(law: ScheduledPID) -> None:
+    """Refuse numbers that single precision does not hold apart, or not at all."""
+    mend = "export it with double precision"
+    for table in tables(law):
+        limits = table.name in ("LOW", "HIGH", "RATE")
+        if not limits and np.abs(table.values).max() > NO_LIMIT_FLOAT:
+            raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
+        if table.name in ("SPAN", "KNOTS") and np.any(np.diff(np.float32(table.values)) <= 0.0):
+            raise InputError(f"{table.name} holds values that are one in single precision", file=law.name, mend=mend)

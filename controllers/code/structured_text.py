@@ -1,0 +1,278 @@
+"""A scheduled PID as IEC 61131-3 Structured Text for a PLC: a function block."""
+
+import re
+from string import Template
+
+from controllers.code.constants import Table, channel, channels, table_sizes, tables
+from controllers.code.text import NO_LIMIT, basis_meaning, double_text, head_lines, plain_comment, power_text, with_comment
+from controllers.scheduled_pid import BackCalculation, ScheduledPID
+from workbench.lpv import Gaussian, PiecewiseLinear, Powers
+
+ST_BLOCK = Template("""\
+(*
+$head
+
+Call it once a sample. While take_over is TRUE the command is held, within its limits: without a bump the law goes on from there
+when it turns FALSE.
+*)
+FUNCTION_BLOCK $name
+VAR_INPUT
+    set_point : ARRAY[1..$nu_y] OF LREAL; (* r: $references *)
+    measured : ARRAY[1..$nu_y] OF LREAL; (* y: $outputs *)
+$schedule_in    take_over : BOOL; (* TRUE: the first command is that in held *)
+    held : ARRAY[1..$nu_u] OF LREAL; (* $inputs *)
+    restart : BOOL; (* TRUE: start anew, from z = 0 *)
+END_VAR
+VAR_OUTPUT
+    command : ARRAY[1..$nu_u] OF LREAL; (* u: $inputs *)
+    valid : BOOL; (* every number of the step was one: the last command is held where not *)
+$schedule_out    limited : ARRAY[1..$nu_u] OF INT; (* what set a command: 0 the law, 1 LOW, 2 HIGH, 3 RATE *)
+END_VAR
+VAR
+    warm : BOOL; (* there is a sample before this one *)
+    takes_over : BOOL; (* the next command goes on from last *)
+    z : ARRAY[1..$nu_u] OF LREAL; (* integral parts *)
+    f : ARRAY[1..$nu_y] OF LREAL; (* filtered derivatives of C r - y *)
+    d : ARRAY[1..$nu_y] OF LREAL; (* last C r - y *)
+    last : ARRAY[1..$nu_u] OF LREAL; (* last commands *)
+    difference : LREAL;
+    own : LREAL; (* the command without its integral part *)
+    push : LREAL; (* what the error adds to the integral part *)
+    v : LREAL; (* the command without limits *)
+    reached : LREAL; (* v within the rate *)
+$locals    i : INT;
+    j : INT;
+END_VAR
+VAR CONSTANT
+$sizes
+$tables
+END_VAR
+
+IF restart OR take_over THEN
+    warm := FALSE;
+    takes_over := take_over;
+    FOR i := 1 TO NU DO
+        z[i] := 0.0;
+        last[i] := 0.0;
+        IF take_over THEN
+            last[i] := held[i];
+        END_IF;
+    END_FOR;
+END_IF;
+$weights
+(* of what is no finite number, the difference from itself is not 0 *)
+valid := $finite;
+FOR j := 1 TO NY DO
+    valid := valid AND (set_point[j] - set_point[j] = 0.0) AND (measured[j] - measured[j] = 0.0);
+END_FOR;
+IF NOT valid THEN (* the sample is left out *)
+    FOR i := 1 TO NU DO
+        command[i] := last[i];
+        IF command[i] < LOW[i] THEN
+            command[i] := LOW[i];
+        ELSIF command[i] > HIGH[i] THEN
+            command[i] := HIGH[i];
+        END_IF;
+        limited[i] := 0;
+    END_FOR;
+    RETURN;
+END_IF;
+
+FOR j := 1 TO NY DO
+    difference := C[j] * set_point[j] - measured[j];
+    IF warm THEN
+        f[j] := DECAY * f[j] + FRESH * (difference - d[j]);
+    ELSE
+        f[j] := 0.0;
+    END_IF;
+    d[j] := difference;
+END_FOR;
+
+FOR i := 1 TO NU DO
+$u0
+    push := 0.0;
+    FOR j := 1 TO NY DO
+$gains        own := own + $Kr * set_point[j];
+        own := own + $Kp * (B[j] * set_point[j] - measured[j]);
+        own := own + $Kd * f[j];
+        push := push + PERIOD * $Ki * (set_point[j] - measured[j]);
+    END_FOR;
+    IF takes_over THEN
+        z[i] := last[i] - own;
+    END_IF;
+    v := own + z[i];
+
+    reached := v;
+    limited[i] := 0;
+    IF warm OR takes_over THEN
+        IF v < last[i] - RATE[i] * PERIOD THEN
+            reached := last[i] - RATE[i] * PERIOD;
+            limited[i] := 3;
+        ELSIF v > last[i] + RATE[i] * PERIOD THEN
+            reached := last[i] + RATE[i] * PERIOD;
+            limited[i] := 3;
+        END_IF;
+    END_IF;
+    command[i] := reached;
+    IF reached < LOW[i] THEN
+        command[i] := LOW[i];
+        limited[i] := 1;
+    ELSIF reached > HIGH[i] THEN
+        command[i] := HIGH[i];
+        limited[i] := 2;
+    END_IF;
+
+$integral
+    last[i] := command[i];
+END_FOR;
+warm := TRUE;
+takes_over := FALSE;
+END_FUNCTION_BLOCK
+""")
+ST_LOCALS = """\
+    rho : LREAL; (* schedule within SPAN *)
+    (* weights of the coefficients: $meaning *)
+    phi : ARRAY[1..$terms] OF LREAL;
+    gain_p : LREAL;
+    gain_i : LREAL;
+    gain_d : LREAL;
+    gain_r : LREAL;
+    k : INT;
+"""
+ST_SCHEDULE = """
+outside := NOT (schedule >= SPAN[1] AND schedule <= SPAN[2]);
+rho := schedule;
+IF rho < SPAN[1] THEN
+    rho := SPAN[1];
+ELSIF rho > SPAN[2] THEN
+    rho := SPAN[2];
+END_IF;
+"""
+ST_LINEAR = """\
+k := 1;
+WHILE k < TERMS - 1 AND rho >= KNOTS[k + 1] DO
+    k := k + 1;
+END_WHILE;
+share := (rho - KNOTS[k]) / (KNOTS[k + 1] - KNOTS[k]);
+IF share < 0.0 THEN
+    share := 0.0;
+ELSIF share > 1.0 THEN
+    share := 1.0;
+END_IF;
+FOR i := 1 TO TERMS DO
+    phi[i] := 0.0;
+END_FOR;
+phi[k] := 1.0 - share;
+phi[k + 1] := share;
+"""
+ST_BELLS = """\
+FOR k := 1 TO BELLS DO
+    phi[k] := EXP(-BETA[k] * ((rho - CENTRES[k]) * (rho - CENTRES[k])));
+END_FOR;
+"""
+ST_SHARES = """\
+top := -$no_limit;
+total := 0.0;
+FOR k := 1 TO BELLS DO
+    phi[k] := -BETA[k] * ((rho - CENTRES[k]) * (rho - CENTRES[k]));
+    IF phi[k] > top THEN
+        top := phi[k]; (* taken out, for far from every centre all would be 0 *)
+    END_IF;
+END_FOR;
+FOR k := 1 TO BELLS DO
+    phi[k] := EXP(phi[k] - top);
+    total := total + phi[k];
+END_FOR;
+FOR k := 1 TO BELLS DO
+    phi[k] := phi[k] / total;
+END_FOR;
+"""
+ST_EVEN = """\
+FOR k := 1 TO TERMS DO
+    phi[k] := 1.0 + 0.0 * rho;
+END_FOR;
+"""
+ST_U0 = """\
+    own := 0.0;
+    FOR k := 1 TO TERMS DO
+        own := own + phi[k] * U0[i, k];
+    END_FOR;"""
+ST_GAINS = """\
+        gain_p := 0.0;
+        gain_i := 0.0;
+        gain_d := 0.0;
+        gain_r := 0.0;
+        FOR k := 1 TO TERMS DO
+            gain_p := gain_p + phi[k] * KP[i, j, k];
+            gain_i := gain_i + phi[k] * KI[i, j, k];
+            gain_d := gain_d + phi[k] * KD[i, j, k];
+            gain_r := gain_r + phi[k] * KR[i, j, k];
+        END_FOR;
+"""
+ST_BACK_CALCULATION = "    z[i] := z[i] + push + PERIOD / TRACKING[i] * (command[i] - v);"
+ST_CLAMPING = """\
+    IF NOT ((v - command[i]) * push > 0.0) THEN
+        z[i] := z[i] + push;
+    END_IF;"""
+
+
+def st_code(law: ScheduledPID, name: str) -> str:
+    """A FUNCTION_BLOCK of that name, all numbers LREAL."""
+    scheduled, sizes = law.schedule is not None, table_sizes(law)
+    names = {"outputs": law.measured, "references": law.references, "inputs": law.actuated}
+    words = {
+        "name": name, "head": "\n".join(plain_comment(line) for line in head_lines(law)),
+        **{key: plain_comment(channels(law, own)) for key, own in names.items()}, "nu_y": sizes["NY"], "nu_u": sizes["NU"],
+        "sizes": "\n".join(f"    {key} : INT := {n};" for key, n in sizes.items()),
+        "tables": "\n".join(_st_table(table, sizes) for table in tables(law)),
+        "schedule_in": f"    schedule : LREAL; (* rho: {plain_comment(channel(law, law.schedule or ''))} *)\n" * scheduled,
+        "schedule_out": "    outside : BOOL; (* the schedule is outside the span of the gains, or no number *)\n" * scheduled,
+        "locals": _st_locals(law, sizes) if scheduled else "",
+        "weights": ST_SCHEDULE + _st_weights(law) if scheduled else "",
+        "finite": "schedule - schedule = 0.0" if scheduled else "TRUE",
+        "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": ST_GAINS * scheduled,
+        **{key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr")},
+        "integral": ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING,
+    }  # fmt: skip
+    return ST_BLOCK.substitute(words)
+
+
+def _st_weights(law: ScheduledPID) -> str:
+    """Statements that fill phi at a rho within the span."""
+    match law.basis:
+        case PiecewiseLinear(knots=knots) if len(knots) > 1:
+            return ST_LINEAR
+        case Gaussian(centres=centres) if len(centres):
+            text = Template(ST_SHARES if law.basis.normalised else ST_BELLS).substitute(no_limit=_lreal(NO_LIMIT))
+            return text + "phi[BELLS + 1] := 1.0;\n" * law.basis.with_constant
+        case Powers(exponents=exponents):
+            terms = [power_text(e, "1.0", lambda e: f"EXPT(x, {_lreal(e)})") for e in exponents]
+            return "".join(["x := rho / SCALE;\n", *(f"phi[{k}] := {term};\n" for k, term in enumerate(terms, 1))])
+    return ST_EVEN
+
+
+def _st_locals(law: ScheduledPID, sizes: dict[str, int]) -> str:
+    """Variables that only a scheduled law has."""
+    own = [name for name in ("share", "top", "total", "x") if re.search(rf"\b{name} :=", _st_weights(law))]
+    text = Template(ST_LOCALS).substitute(terms=sizes["TERMS"], meaning=basis_meaning(law))
+    return text + "".join(f"    {name} : LREAL;\n" for name in own)
+
+
+def _st_table(table: Table, sizes: dict[str, int]) -> str:
+    """KP : ARRAY[1..2, 1..3] OF LREAL := [...]; with its comments."""
+    comment = f"(* {plain_comment(table.comment)} *)"
+    if not table.sizes:
+        return with_comment(f"    {table.name} : LREAL := {_lreal(float(table.values))};", comment)
+    kind = f"ARRAY[{', '.join(f'1..{sizes.get(size, size)}' for size in table.sizes)}] OF LREAL"
+    rows = [", ".join(map(_lreal, row)) for row in table.values.reshape(-1, table.values.shape[-1])]
+    if not table.rows:
+        return with_comment(f"    {table.name} : {kind} := [{rows[0]}];", comment)
+    commas = [","] * (len(rows) - 1) + [""]
+    own = zip(rows, commas, table.rows, strict=True)
+    lines = [with_comment(f"        {row}{comma}", f"(* {plain_comment(said)} *)") for row, comma, said in own]
+    return "\n".join([f"    {table.name} : {kind} := [ {comment}", *lines, "    ];"])
+
+
+def _lreal(value: float) -> str:
+    mantissa, e, exponent = double_text(value).partition("e")
+    return mantissa + ".0" * ("." not in mantissa) + (f"E{exponent}" if e else "")
