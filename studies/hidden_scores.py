@@ -162,6 +162,10 @@ def names(cause: Mapping[str, Any], hidden: Iterable[str] = ()) -> set[str]:
     return both.union(*_together(both, hidden))
 
 
+def _keys(row: Row) -> list[str]:
+    return [t["key"] for t in row["truth"]]
+
+
 def _together(names: Iterable[str], hidden: Iterable[str]) -> list[set[str]]:
     """The effects of every "a + b" among names of which all are hidden."""
     pairs = [set(name.split(" + ")) for name in names if " + " in name]
@@ -232,7 +236,7 @@ def _shown(row: Row, truth: Mapping[str, Any]) -> bool:
 
 def tied(row: Row) -> set[str]:
     """The hidden effects that a declared tie holds."""
-    return {t["key"] for t in row["truth"] for c in beyond_rounding(row) if c["ties"] and t["key"] in names(c)}
+    return {t["key"] for t in row["truth"] for c in beyond_rounding(row) if c["ties"] and t["key"] in names(c, _keys(row))}
 
 
 def resolution(row: Row) -> Resolution | None:
@@ -352,7 +356,7 @@ def _calibration(rows: Iterable[Row]) -> tuple[Bin, ...]:
         for cause in beyond_rounding(row):
             for key, weight in {cause["key"]: cause["posterior"], **cause["ties"]}.items():
                 stated.append(weight)
-                hits.append(key in keys)
+                hits.append(set(key.split(" + ")) <= keys)
     return _binned(stated, hits, WEIGHTS)
 
 
@@ -366,7 +370,7 @@ def _confusions(rows: Iterable[Row]) -> tuple[Confusion, ...]:
                 if key not in said and cause["key"] not in keys:
                     pair = row["machine"], key, cause["key"]
                     counts[pair] += 1
-                    tied[pair] += key in cause["ties"]
+                    tied[pair] += key in names(cause, keys)
     return tuple(Confusion(hidden, named, n, tied[m, hidden, named], m) for (m, hidden, named), n in counts.most_common())
 
 

@@ -122,6 +122,8 @@ class Experiment:
         if t is None:
             assert dt is not None
             return cls(name, np.arange(len(reference)) * float(dt), channels, values, dt)
+        if not np.issubdtype(np.asarray(t).dtype, np.number):
+            raise InputError(f"t holds {np.asarray(t).dtype}", file=name, mend="give seconds as numbers")
         stamps = np.asarray(t, dtype=float)
         if stamps.shape != reference.shape:
             shapes = f"t has shape {stamps.shape}, expected {reference.shape} as in {names[0]}"
@@ -474,8 +476,9 @@ def _interpolated(experiment: Experiment, dt: float) -> Experiment:
 
 
 def _typical_step(name: str, t: np.ndarray) -> float:
-    """The median step [s] of time stamps; raises InputError where there is none."""
-    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    if not step > 0.0:
+    """The mean step [s] of time stamps without gaps; raises InputError where there is none."""
+    steps = np.diff(t)
+    middle = float(np.median(steps)) if len(steps) and np.isfinite(t).all() else 0.0
+    if not middle > 0.0:
         raise InputError("its time stamps have no step", file=name, mend="give dt, or two samples and more in the order of time")
-    return step
+    return float(np.mean(steps[(steps > 0.5 * middle) & (steps < 1.5 * middle)]))  # stamps are rounded, and gaps are no steps

@@ -121,10 +121,10 @@ def test_two_effects_that_are_a_rival_together_count_only_where_both_are_hidden(
     assert strangers(row(hid(COULOMB), hid(OFFSET), causes=[said])) == []
     assert outcome(row(hid(COULOMB), causes=[said])) is Outcome.WRONG
     assert found(row(hid(COULOMB), hid(DELAY), causes=[said])) == 0
-    assert (
-        found(row(hid(COULOMB), hid(OFFSET), causes=[named(LAG, ties={f"{COULOMB} + {OFFSET}": 0.4, DELAY: 0.1, "x@y": 0.1})]))
-        == 0
-    )
+    wide = named(LAG, ties={f"{COULOMB} + {OFFSET}": 0.4, DELAY: 0.1, "x@y": 0.1})
+    assert found(row(hid(COULOMB), hid(OFFSET), causes=[wide])) == 0
+    (stated,) = summary([row(hid(COULOMB), hid(OFFSET), causes=[said | {"posterior": 0.45}])]).calibration
+    assert (stated.share.hits, stated.share.of) == (1, 2)  # the name and the pair: the pair was hidden
 
 
 def test_an_effect_must_be_found_from_twice_both_limits_on_unless_it_could_not_be_tested():

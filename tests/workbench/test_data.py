@@ -239,6 +239,12 @@ def test_a_record_has_time_stamps_or_a_sample_time_and_finds_the_other():
     for both, problem in ({"dt": 0.02, "t": t}, "both dt and t"), ({}, "neither dt nor t"), ({"t": t[1:]}, "expected"):
         with pytest.raises(InputError, match=problem):
             Experiment.from_arrays("run", **both, inputs={"u": u})
-    for stamps in (np.zeros(1), np.zeros(50), t[::-1]):
+    rounded = np.round(np.arange(3000) / 60.0, 3)  # a logger that writes milliseconds
+    gaps = np.delete(rounded, np.arange(100, 700))
+    for stamps in (rounded, gaps):
+        assert Experiment("run", stamps, stamped.channels, np.ones((len(stamps), 1))).dt == pytest.approx(1 / 60, rel=1e-4)
+    with pytest.raises(InputError, match="seconds as numbers"):
+        Experiment.from_arrays("run", t=np.array(["2024-01-01", "2024-01-02"], "datetime64[ns]"), inputs={"u": np.ones(2)})
+    for stamps in (np.zeros(1), np.zeros(50), t[::-1], np.append(t, np.inf)):
         with pytest.raises(InputError, match="no step"):
             Experiment("run", stamps, stamped.channels, np.ones((len(stamps), 1)))

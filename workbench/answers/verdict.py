@@ -131,9 +131,12 @@ def next_step(found: Diagnosis) -> str:
     if found.next_experiment:
         return f"What to measure next: {ended(found.next_experiment.sentence)}"
     for cause in found.causes:
-        if cause.ties or (cause.doubt and found.finding is Finding.NAMED):
-            rivals = ", ".join(cause.ties) or "the plant's own equation"
-            return f"No experiment was found that would tell {cause.key} from {rivals}; what would: {cause.separates}"
+        if cause.ties:
+            return (
+                f"No experiment was found that would tell {cause.key} from {', '.join(cause.ties)}; what would: {cause.separates}"
+            )
+        if cause.doubt and found.finding is Finding.NAMED:
+            return f"No experiment was found that would make {cause.key} sure; what might: {cause.separates}"
     if found.finding is Finding.NAMED:
         return "No further experiment is proposed: no other effect explains these records as well."
     if found.finding is Finding.NOTHING:

@@ -80,10 +80,12 @@ def doubted(
     of the referee against the extended plant. together: whether causes explain next to nothing without each other.
     """
     steps = found.steps
-    better = any(laws[s.key].gap < -TIE for s in steps if s.key in laws)
+    pairs = {s.key: pair for s in steps for pair, gap in s.pairs.items() if gap < -TIE}
+    better = bool(pairs) or any(laws[s.key].gap < -TIE for s in steps if s.key in laws)
     if finding is Finding.NAMED and steps and (beyond or objections or together or better or any(harm.values())):
         finding = Finding.INCOMPLETE
     against = {s.key: said_against(laws[s.key]) if s.key in laws else _not_round(s) for s in steps}
+    against |= {key: f"{pair} explain these records better" for key, pair in pairs.items()}
     if finding is Finding.INCOMPLETE and together:
         against = {s.key: TOGETHER for s in steps}
     elif finding is Finding.INCOMPLETE:
@@ -151,8 +153,8 @@ def _not_round(step: Step) -> str:
 def law_instead(step: Step, model: Model) -> Law | None:
     """The law in one of the plant's own equations that explains the records as well as a cause; None where none does.
 
-    A static error of a sensor stands far from where such a law acts: there one that may explain them as well is as likely. The
-    law has taken one step of its fit only, at noise levels that suit the cause.
+    A static error of a sensor stands far from where such a law acts: there one that may explain them as well is as likely, though
+    it is fitted at noise levels that suit the cause.
     """
     effect = next(slot.effect for slot in model.predictor.plant.slots if slot.key == step.key)
     static = effect.family == "sensor" and not effect.memories

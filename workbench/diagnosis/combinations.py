@@ -11,7 +11,7 @@ from itertools import permutations
 import numpy as np
 
 from workbench.diagnosis.confirm import left_out, stability
-from workbench.diagnosis.policy import ALPHA, TIE, WORTH
+from workbench.diagnosis.policy import ALPHA, TIE
 from workbench.diagnosis.refit import Model, from_special, refits, settled, shortlist
 from workbench.diagnosis.rivals import gap_between, is_case_of
 from workbench.diagnosis.screen import Score
@@ -46,7 +46,7 @@ def _as_one(model: Model, one: Step, other: Step, lesser: Lesser) -> Iterable[St
             begun.append(from_special(special, rest, score, sizes))
         single = settled(min(begun, key=lambda m: m.bic), sizes, model.predictor.noise)
         gap = single.bic - model.bic
-        if single.sound and gap < WORTH and left_out(rest, single).holds:
+        if single.sound and gap < TIE and left_out(rest, single).holds:
             yield Step(
                 score.key,
                 rest,

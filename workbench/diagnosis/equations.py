@@ -23,7 +23,7 @@ from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import answers, coefficients, trajectory, variables
 from workbench.records import field, record
 
-WITHIN = 1000.0  # BIC by which a linear step may leave a law behind that is fitted
+FITTED = 8  # laws that come closest after a linear step
 STEPS, ENOUGH = 40, 0.5  # of a law's fit, at most; of the cost, what the last one gains
 
 
@@ -51,19 +51,22 @@ def instead(model: Model, key: str) -> Law | None:
     made = variables(trajectories)
     argument = plant.argument(key.partition("@")[2])
     over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
-    candidates: list[_Push] = []
+    near: list[tuple[float, str, str, Sequence[np.ndarray], float]] = []
     for state in plant.laws:
         changing = coefficients(model, ("rate", state), trajectories, {name: made[name] for name in over})
         changing = {name: basis for name, basis in changing.items() if argument not in name.split(" times ")}
         laws = {name: [made[name][1], *_powers([t[name] for t in trajectories])] for name in over}
         laws |= {name: [basis] for name, (_, basis) in changing.items()}
         for variable, basis in ((variable, basis) for variable, bases in laws.items() for basis in bases):
-            push = _pushed(bare, state, variable, basis, least=TIE if variable in changing else -np.inf)
+            push = _pushed(bare, state, variable, basis)
             if np.isfinite(push.information).all():  # a push that the filter does not hold tells nothing
-                candidates.append(push)
-    found = [(push, _fitted(push) if push.linear < WITHIN else push.linear) for push in candidates]
-    counted = [Law(push.state, push.variable, gap) for push, gap in found if gap < -push.least]
-    return min(counted, key=lambda law: law.gap, default=None)
+                near.append((push.linear, state, variable, basis, TIE if variable in changing else -np.inf))
+    found = []
+    for linear, state, variable, basis, least in sorted(near, key=lambda law: law[0])[:FITTED]:
+        gap = _fitted(_pushed(bare, state, variable, basis)) if np.isfinite(linear) else np.inf
+        if gap < -least:
+            found.append(Law(state, variable, gap))
+    return min(found, key=lambda law: law.gap, default=None)
 
 
 @record
@@ -87,7 +90,7 @@ class _Push:
     """A law over `variable` in the rate of `state`, beside a bare model: bases (N, c) and responses (N ny, c) by record.
 
     information (n + c, n + c): of the unknowns that are left and of the law's numbers. linear: the gap after one linear step.
-    more: what the law's further numbers cost. least: by which it must be better to count.
+    more: what the law's further numbers cost.
     """
 
     bare: _Bare
@@ -98,7 +101,6 @@ class _Push:
     information: np.ndarray
     linear: float
     more: float
-    least: float
 
 
 def _powers(values: Sequence[np.ndarray]) -> list[list[np.ndarray]]:
@@ -141,13 +143,13 @@ def _slope(push: _Push, z: np.ndarray, errors: Sequence[np.ndarray]) -> np.ndarr
     return np.concatenate([(fit.seen(errors) + prior)[list(push.bare.left)], of_law])
 
 
-def _pushed(bare: _Bare, state: str, variable: str, basis: Sequence[np.ndarray], *, least: float) -> _Push:
+def _pushed(bare: _Bare, state: str, variable: str, basis: Sequence[np.ndarray]) -> _Push:
     fit, left = bare.model.fit, list(bare.left)
     R = answers(bare.model, ("rate", state), basis)
     JR = fit.seen(R)[left]
     A = np.block([[fit.information[np.ix_(left, left)], JR], [JR.T, sum(r.T @ r for r in R)]])
     more = (JR.shape[1] - bare.numbers) * float(np.log(sum(map(len, bare.model.predictor.records))))
-    push = _Push(bare, state, variable, tuple(basis), tuple(R), A, np.inf, more, least)
+    push = _Push(bare, state, variable, tuple(basis), tuple(R), A, np.inf, more)
     b = _slope(push, bare.z, bare.errors)
     gained = float(b @ _inverse(A) @ b) if np.isfinite(A).all() else 0.0
     return replace(push, linear=bare.cost - gained - bare.with_effect + more)

@@ -143,7 +143,7 @@ def judged(found: Found, judge: Judge, *, longer: bool) -> Found:
 def _dropped(found: Found, step: Step, why: str) -> Found:
     """Without a step that is no cause; the others are fitted again."""
     rest = facing([replace(s, after=step.before) for s in found.steps if s is not step], [step.key])
-    steps = kept(found.base, rest, found.lesser, found.most) if rest else []
+    steps = united(found.base, kept(found.base, rest, found.lesser, found.most), found.lesser) if rest else []
     left = remainder(steps[-1].after if steps else found.base)
     return replace(found, steps=tuple(steps), left=tuple(left), refused=(*found.refused, Refused(step.key, why, step.gain)))
 

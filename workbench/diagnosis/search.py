@@ -412,7 +412,8 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         # what does not tie beside these may tie beside fewer
         gaps = dict.fromkeys(step.rivals, np.inf) | {s.key: gap_between(model, score.key, m, s.key) for m, s in tying}
         closest = closest_rival(less, model, score.key, tying)
-        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=closest, others=times[score.key])
+        pairs = step.pairs if score.key == step.key else {}
+        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=closest, others=times[score.key], pairs=pairs)
     steps[-1] = replace(steps[-1], after=model)
     return steps
 

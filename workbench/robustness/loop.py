@@ -41,7 +41,8 @@ RATE_OF = "rate of "
 FLOOR = 1e-6  # of the largest reachable variance: what a direction of the state counts that nothing reaches
 LOST, ROUNDED = np.log(1e-13), 5  # of the largest number beside it: what rounding leaves of a 0; how often that is looked for
 COMPARED, SAME_ANSWER = 12, 1e-6  # samples at which law and linear form are compared; of an answer, how far they may differ
-SHARES, HUGE = (0.4, 0.02, 1e-3, 1e-6, 1e-9), 1e6  # of the room that a law has, answers that are compared; where it has no end
+SHARES = (0.95, 0.7, 0.4, 0.02, 1e-4)  # of the room that a law has: answers that are compared; smaller ones drown in rounding
+HUGE, SMALL = 1e6, (1e-6, 1e-9)  # the room of what has no limits, and shares of it besides: it may be in any unit
 FEW = 3  # schedule values at which they are compared at least
 
 
@@ -401,8 +402,8 @@ def without_linear_form(law: Any, values: Sequence[float] = ()) -> str:
     """Why nothing can be proved of a law on a linear model, in words; "" where its linear form is what it commands.
 
     `at` is not believed: at the ends and the middle of its span and at the schedule `values`, law and linear form are given the
-    same samples, small and large, off the limits of the law, and must answer them alike. A law that is a record is asked without
-    its limits; another one is led off them first, where constant errors can.
+    same samples, small ones and such as take it close to its limits, and must answer them alike. A law that is a record is asked
+    without its limits; another one is led off them first, where constant errors can.
     """
     if not all(hasattr(law, name) for name in LINEAR):
         how = "is an equation of its own" if isinstance(law, Controller) else "is computed step by step"
@@ -452,21 +453,22 @@ def _apart(law: Any, rho: float | None) -> str:
     led = _led_inside(run, nr, ny, low, high, rate * dt)
     if led is None:
         return "its commands stay at their limits"
-    before, room = led
+    before, room, moves = led
     push = random.normal(size=(COMPARED, nr + ny))
     push[0] = 0.0
     x, answer = np.zeros(len(A)), []
     for own in push:
         answer.append(C @ x + D @ own)
         x = A @ x + B @ own
-    largest = np.min(room / np.maximum(np.abs(answer).max(axis=0), 1e-300))
+    steps = np.abs(np.diff([np.zeros(len(low)), *answer], axis=0)).max(axis=0)
+    largest = min(np.min(own / np.maximum(most, 1e-300)) for own, most in ((room, np.abs(answer).max(axis=0)), (moves, steps)))
     rest = np.repeat(before[-1:], COMPARED, axis=0)
 
     def answered(share: float) -> np.ndarray:
         return run(*np.split(np.vstack([before, rest + share * push]), [nr], axis=1))[len(before) :]
 
     plain = answered(0.0)
-    for share in SHARES:
+    for share in (*SHARES, *(SMALL if largest > HUGE else ())):
         size = share * min(largest, HUGE)
         off = np.abs(answered(size) - plain - size * np.array(answer))
         most = size * np.abs(answer).max(axis=0) + 1e-9 * np.abs(plain).max(axis=0) + 1e-12
@@ -477,8 +479,9 @@ def _apart(law: Any, rho: float | None) -> str:
 
 def _led_inside(
     run: Callable, nr: int, ny: int, low: np.ndarray, high: np.ndarray, move: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Samples (N, nr + ny) after which the law stays off its limits while they stand still, and the room that is left (nu,).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Samples (N, nr + ny) after which the law stays off its limits while they stand still, and the room that is left (nu,) each:
+    to its limits, and for a move from one sample to the next.
 
     Errors of all sizes and signs, and then none: what an integral has reached stays.
     """
@@ -489,9 +492,10 @@ def _led_inside(
                 samples = np.zeros((length + 2 * COMPARED, nr + ny))
                 samples[:length, nr:] = y
                 u = run(*np.split(samples, [nr], axis=1))[length + COMPARED // 2 :]
-                room = np.minimum(np.minimum(u - low, high - u).min(axis=0), move - np.abs(np.diff(u, axis=0)).max(axis=0))
-                if np.isfinite(u).all() and np.all(room > 0.0):
-                    return samples[: length + COMPARED], np.minimum(room, np.finfo(float).max / 1e3)
+                room, moves = np.minimum(u - low, high - u).min(axis=0), move - np.abs(np.diff(u, axis=0)).max(axis=0)
+                if np.isfinite(u).all() and np.all(room > 0.0) and np.all(moves > 0.0):
+                    most = np.finfo(float).max / 1e3
+                    return samples[: length + COMPARED], np.minimum(room, most), np.minimum(moves, most)
                 if not size:
                     break
     return None

@@ -47,6 +47,7 @@ from workbench.verification.part import FROZEN, Part
 Say = Callable[[str], None]
 
 TITLE = "On the identified model"
+COMPARED = 41  # schedule values at which a law is compared with its linear form
 NODES = 5  # schedule values at which stability is proved
 GRID = 25  # of the schedule at which |S| is looked at
 MOTION = 1.1  # ratio of bounds at which the search of a certificate in motion ends
@@ -78,8 +79,8 @@ def on_model(
     InputError for limits that ask for what the loop does not have.
     """
     model, of = left.model, f"model {left.model.name}"
-    values = [] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist()
-    if said := without_linear_form(law, values):
+    compared = [] if model.schedule is None else [np.linspace(model.span[0], model.span[1], n) for n in (nodes, COMPARED)]
+    if said := without_linear_form(law, np.concatenate([[], *compared]).tolist()):
         return Part(TITLE, tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)))
     check_law(model, law)
     run = _prepared(left, law, limits, plant) if limits.limits and limits.run is not None else None

@@ -174,7 +174,7 @@ def test_a_linear_form_that_is_not_the_law_proves_nothing(records, model, change
 
 
 class Bent(Claims):
-    """A law that is linear near its rest only: beyond `near` it gives `beyond` times as much, as it does within 1e-4 of it."""
+    """A law that gives 1.5 times what it should where its error is not between the two numbers `bent`."""
 
     def law(self, gains, state, r, y, rho):
         u, state = LAW.law(gains, state, r, y, rho)
@@ -189,6 +189,46 @@ def test_a_law_that_is_its_linear_form_for_some_sizes_only_has_none(bent):
     whole, bent = Bent(**law.__dict__, bent=(-1.0, np.inf)), Bent(**law.__dict__, bent=bent)
     assert not without_linear_form(whole)
     assert "answers otherwise" in without_linear_form(bent)
+
+
+class Summed(SimpleNamespace):
+    """u = u0 + e + I, I+ = I + ki e: beyond `kink` twice as much; its parts may cancel to next to nothing."""
+
+    __hash__ = object.__hash__
+    name, dt, references, measured, actuated, schedule = "summed", 0.1, ("r",), ("y",), ("u",), None
+    gains, span = (), (0.0, 0.0)
+    kink = np.inf
+
+    def init(self, u=None):
+        return [self.I0]
+
+    def law(self, gains, state, r, y, rho):
+        e = r[0] - y[0]
+        u = self.u0 + e + state[0] - self.middle
+        u = self.middle + u + np.sign(u) * max(abs(u) - self.kink, 0.0)
+        return [min(max(u, self.low[0]), self.high[0])], [state[0] + 0.1 * e]
+
+    def at(self, rho):
+        return control.StateSpace([[1.0]], [[0.1, -0.1]], [[1.0]], [[1.0, -1.0]], self.dt)
+
+    def offset(self, rho):
+        return np.array([self.u0 + self.I0])
+
+
+def summed(u0, first, low, high, **more):
+    none = np.full(1, np.inf)
+    return Summed(u0=u0, I0=first, low=np.array([low]), high=np.array([high]), rate=none, middle=u0 + first, **more)
+
+
+@pytest.mark.parametrize(("u0", "first"), [(2.0, 0.0), (50.0, -48.0), (500.0, -498.0), (5e4, -49998.0)])
+def test_parts_that_cancel_are_rounded_and_refute_nothing(u0, first):
+    assert without_linear_form(summed(u0, first, 0.0, 5.0)) == ""
+
+
+@pytest.mark.parametrize("kink", [0.1, 1.0, 2.0, 3.5, 4.5])
+def test_a_law_that_is_bent_anywhere_within_its_limits_has_no_linear_form(kink):
+    assert without_linear_form(summed(0.0, 0.0, -5.0, 5.0)) == ""
+    assert "answers otherwise" in without_linear_form(summed(0.0, 0.0, -5.0, 5.0, kink=kink))
 
 
 def test_a_linear_form_is_asked_for_at_the_schedule_values_that_are_proved():

@@ -528,3 +528,27 @@ def test_what_comes_back_with_every_turn_is_not_sure_where_nothing_turned_once(m
     )
     step = SimpleNamespace(key=key, after=with_numbers(WEB_WINDING, key))
     assert bool(causes._not_round(step)) is not sure
+
+
+@pytest.mark.parametrize(("gap", "finding"), [(-30.0, Finding.INCOMPLETE), (-3.0, Finding.NAMED), (8.0, Finding.NAMED)])
+def test_a_pair_that_explains_much_more_than_the_one_law_speaks_against_it(gap, finding):
+    step = SimpleNamespace(
+        key="asymmetric-friction@slide",
+        gain=400.0,
+        stable=0.5,
+        pairs={"coulomb@slide + offset@F": gap},
+        after=with_numbers(AXIS, ""),
+    )
+    found = SimpleNamespace(steps=(step,), left=(), base=with_numbers(AXIS, ""))
+    answer, doubts = causes.doubted(found, Finding.NAMED, {}, {step.key: ""}, (), (), False)
+    assert answer is finding
+    assert (doubts[step.key] == "coulomb@slide + offset@F explain these records better") is (finding is Finding.INCOMPLETE)
+
+
+def test_what_is_left_is_compared_with_the_variable_of_a_cause_s_own_law():
+    step = SimpleNamespace(key="coulomb@slide", gain=400.0, stable=0.5, pairs={}, after=with_numbers(AXIS, ""))
+    for variable, sure in (("v", False), ("q", True)):  # the slide rubs over its speed v
+        left = (SimpleNamespace(variable=variable, statistic=30.0, p_family=1e-6),)
+        found = SimpleNamespace(steps=(step,), left=left, base=with_numbers(AXIS, ""))
+        _, doubts = causes.doubted(found, Finding.INCOMPLETE, {}, {step.key: ""}, (), (), False)
+        assert (doubts[step.key] == "") is sure
