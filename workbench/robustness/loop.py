@@ -461,7 +461,8 @@ def _apart(law: Any, rho: float | None) -> str:
         answer.append(C @ x + D @ own)
         x = A @ x + B @ own
     steps = np.abs(np.diff([np.zeros(len(low)), *answer], axis=0)).max(axis=0)
-    largest = min(np.min(own / np.maximum(most, 1e-300)) for own, most in ((room, np.abs(answer).max(axis=0)), (moves, steps)))
+    rooms = (room, np.abs(answer).max(axis=0)), (moves, steps)
+    largest = min(np.min(np.minimum(own, 1e150) / np.maximum(most, 1e-150)) for own, most in rooms)
     rest = np.repeat(before[-1:], COMPARED, axis=0)
 
     def answered(share: float) -> np.ndarray:
