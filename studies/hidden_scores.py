@@ -242,7 +242,8 @@ def tied(row: Row) -> set[str]:
 def resolution(row: Row) -> Resolution | None:
     """What the recommended experiment made of a tie; None where no tie holds what was hidden, or there is no plan to choose from.
 
-    Strict: every effect that was in a tie is named alone, and nothing wrong is named beside it, whatever was there before.
+    Strict: every effect that was in a tie is named alone, and nothing wrong is named beside it, whatever was there before. Two
+    effects that are a rival together were in no tie that the experiment was chosen for.
     """
     keys, experiment = tied(row), row.get("experiment")
     if not keys or experiment is None:
@@ -254,7 +255,8 @@ def resolution(row: Row) -> Resolution | None:
     after = {"truth": row["truth"], "causes": experiment["after"]["causes"]}
     if strangers(after) or not keys <= set().union(*map(names, after["causes"])):
         return Resolution.LOST
-    return Resolution.RESOLVED if keys <= {c["key"] for c in after["causes"] if not c["ties"]} else Resolution.TIED
+    alone = {c["key"] for c in after["causes"] if all(" + " in rival for rival in c["ties"])}
+    return Resolution.RESOLVED if keys <= alone else Resolution.TIED
 
 
 def beyond_rounding(row: Row) -> Sequence[Mapping[str, Any]]:
