@@ -152,6 +152,11 @@ class Summary:
 # ---- one row ----------------------------------------------------------------------------------------------------------------
 
 
+def hidden_in(row: Row) -> list[str]:
+    """The keys of what was hidden."""
+    return [t["key"] for t in row["truth"]]
+
+
 def names(cause: Mapping[str, Any], hidden: Iterable[str] = ()) -> set[str]:
     """The cause and its declared rivals, where there are at most three in all; of a wider tie the cause alone.
 
@@ -162,10 +167,6 @@ def names(cause: Mapping[str, Any], hidden: Iterable[str] = ()) -> set[str]:
     return both.union(*_together(both, hidden))
 
 
-def _keys(row: Row) -> list[str]:
-    return [t["key"] for t in row["truth"]]
-
-
 def _together(names: Iterable[str], hidden: Iterable[str]) -> list[set[str]]:
     """The effects of every "a + b" among names of which all are hidden."""
     pairs = [set(name.split(" + ")) for name in names if " + " in name]
@@ -174,7 +175,7 @@ def _together(names: Iterable[str], hidden: Iterable[str]) -> list[set[str]]:
 
 def found(row: Row) -> int:
     """How many of the hidden effects are named or in a tie, each by a cause of its own or by a pair that a cause ties with."""
-    keys, causes = [t["key"] for t in row["truth"]], beyond_rounding(row)
+    keys, causes = hidden_in(row), beyond_rounding(row)
     said = [names(c, keys) for c in causes]
     return _matched(keys, said + [pair for c in causes for pair in _together(names(c), keys)[:1]])
 
@@ -190,13 +191,13 @@ def _matched(keys: Sequence[str], said: Sequence[set[str]]) -> int:
 
 def strangers(row: Row) -> list[str]:
     """Causes that stand for nothing that was hidden."""
-    keys = {t["key"] for t in row["truth"]}
+    keys = set(hidden_in(row))
     return [c["key"] for c in beyond_rounding(row) if not keys & names(c, keys)]
 
 
 def misled(row: Row) -> list[str]:
     """Causes that are said to be sure, though neither they nor any effect that is declared a tie with them was hidden."""
-    keys = {t["key"] for t in row["truth"]}
+    keys = set(hidden_in(row))
     sure = [c for c in beyond_rounding(row) if c["sure"]]
     said = {c["key"]: {c["key"], *c["ties"]} for c in sure}
     return [key for key, own in said.items() if not keys & own.union(*_together(own, keys))]
@@ -236,7 +237,8 @@ def _shown(row: Row, truth: Mapping[str, Any]) -> bool:
 
 def tied(row: Row) -> set[str]:
     """The hidden effects that a declared tie holds."""
-    return {t["key"] for t in row["truth"] for c in beyond_rounding(row) if c["ties"] and t["key"] in names(c, _keys(row))}
+    keys = hidden_in(row)
+    return {key for key in keys for c in beyond_rounding(row) if c["ties"] and key in names(c, keys)}
 
 
 def resolution(row: Row) -> Resolution | None:
@@ -262,7 +264,7 @@ def resolution(row: Row) -> Resolution | None:
 def beyond_rounding(row: Row) -> Sequence[Mapping[str, Any]]:
     """What was named, without the rounding that a sensor has in every record: that is there, and is not what was hidden."""
     steps = {f"{ROUNDED}@{name}": step for name, step in row.get("resolutions", {}).items()}
-    hidden = {t["key"] for t in row["truth"]}
+    hidden = set(hidden_in(row))
     return [c for c in row.get("causes", ()) if c["key"] in hidden or not _is_step(c, steps.get(c["key"]))]
 
 
@@ -354,7 +356,7 @@ def _calibration(rows: Iterable[Row]) -> tuple[Bin, ...]:
     """Every name with its posterior and every rival with its weight, against whether it was hidden."""
     stated, hits = [], []
     for row in rows:
-        keys = {t["key"] for t in row["truth"]}
+        keys = set(hidden_in(row))
         for cause in beyond_rounding(row):
             for key, weight in {cause["key"]: cause["posterior"], **cause["ties"]}.items():
                 stated.append(weight)
@@ -366,7 +368,7 @@ def _confusions(rows: Iterable[Row]) -> tuple[Confusion, ...]:
     """What was named where something else was hidden, the most frequent first."""
     counts, tied = Counter(), Counter()
     for row in rows:
-        keys, said = [t["key"] for t in row["truth"]], {c["key"] for c in beyond_rounding(row)}
+        keys, said = hidden_in(row), {c["key"] for c in beyond_rounding(row)}
         for cause in beyond_rounding(row):
             for key in keys:
                 if key not in said and cause["key"] not in keys:

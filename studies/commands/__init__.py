@@ -7,6 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from studies.terminal import say
+
 
 def run(options: Namespace) -> int:
     """Run the command that was asked for, and load only that one; returns the exit code.
@@ -24,5 +26,6 @@ def run(options: Namespace) -> int:
         with redirect_stdout(sys.stderr):
             code = command.run(options)
         numbers = Path(options.json)
-        sys.stdout.write(numbers.read_text(encoding="utf-8") if numbers.exists() else "")
+        if numbers.exists():
+            say(numbers.read_text(encoding="utf-8").removesuffix("\n"))
     return code

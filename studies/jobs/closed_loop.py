@@ -86,7 +86,7 @@ class ClosedLoop:
             known = [q.name for q in plant.parameters]
             i = known.index(check_known("parameter", name, known, file=plant.name))
             return "parameters", i, plant.parameters[i].unit
-        check_known("effect", key, dict.fromkeys(slot.key for slot in plant.slots), file=plant.name)
+        check_known("effect", key, plant.effect_keys, file=plant.name)
         known = [slot.parameter.name for slot in plant.slots if slot.key == key]
         check_known(f"parameter of {key}", number, known, file=plant.name)
         i = next(i for i, slot in enumerate(plant.slots) if (slot.key, slot.parameter.name) == (key, number))

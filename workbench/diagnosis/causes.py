@@ -226,7 +226,7 @@ def untestable_effects(model: Model, tested: Sequence[Signature]) -> tuple[Untes
     plant = model.predictor.plant
     shown = {s.variant.key for s in tested if not _hidden(s)}
     found = []
-    for key in dict.fromkeys(slot.key for slot in plant.slots):
+    for key in plant.effect_keys:
         if key in shown:
             continue
         why = "nothing that it would change was excited in these records"

@@ -16,7 +16,6 @@ from workbench.diagnosis.refit import Model, from_special, refits, settled, shor
 from workbench.diagnosis.rivals import gap_between, is_case_of
 from workbench.diagnosis.screen import Score
 from workbench.diagnosis.search import Lesser, Step, pruned, screen_effects
-from workbench.physics.plant import Plant
 
 
 def united(base: Model, steps: Sequence[Step], lesser: Lesser) -> list[Step]:
@@ -35,7 +34,7 @@ def united(base: Model, steps: Sequence[Step], lesser: Lesser) -> list[Step]:
 def _as_one(model: Model, one: Step, other: Step, lesser: Lesser) -> Iterable[Step]:
     """Steps in which a law that `one` is a special case of stands for both, where it explains the records as well."""
     plant, sizes = model.predictor.plant, lesser.sizes
-    general = [key for key in _keys(plant) if is_case_of(plant, one.key, key) and key not in model.keys]
+    general = [key for key in plant.effect_keys if is_case_of(plant, one.key, key) and key not in model.keys]
     if not general:
         return
     special = lesser.of(model, other.key)
@@ -63,13 +62,15 @@ def divided(step: Step, lesser: Lesser) -> dict[str, float]:
     """BIC by which two effects are worse than the law of `step`, of which one is a special case: of those that tie with it."""
     model, sizes = step.after, lesser.sizes
     plant, found = model.predictor.plant, {}
-    for special in (key for key in _keys(plant) if is_case_of(plant, key, step.key)):
-        less = lesser.of(model, step.key)
-        begun = _extended(less, screen_effects(less, [special], sizes), sizes, 1) if less.sound else []
-        for plain, _ in ((settled(m, sizes, model.predictor.noise), key) for m, key in begun):
+    cases = [key for key in plant.effect_keys if is_case_of(plant, key, step.key)]
+    if not cases or not (less := lesser.of(model, step.key)).sound:
+        return {}
+    for special in cases:
+        for begun, _ in _extended(less, screen_effects(less, [special], sizes), sizes, 1):
+            plain = settled(begun, sizes, model.predictor.noise)
             if not plain.sound or plain.bic < model.bic + TIE:  # the special case ties by itself
                 continue
-            others = [k for k in _keys(plant) if k not in plain.keys and not is_case_of(plant, special, k)]
+            others = [k for k in plant.effect_keys if k not in plain.keys and not is_case_of(plant, special, k)]
             shown = [s for s in screen_effects(plain, others, sizes) if s.p_family < ALPHA]
             for trial, key in _extended(plain, shortlist(shown, most=3) if shown else [], sizes, 2):
                 both = settled(trial, sizes, model.predictor.noise)
@@ -82,10 +83,6 @@ def divided(step: Step, lesser: Lesser) -> dict[str, float]:
 def _extended(model: Model, found: Sequence[Score], sizes: np.ndarray, most: int) -> list[tuple[Model, str]]:
     """The model with each of the effects, the best `most` of them first."""
     return [(m, s.key) for m, s in refits(model, found, sizes)[:most]] if found else []
-
-
-def _keys(plant: Plant) -> list[str]:
-    return list(dict.fromkeys(slot.key for slot in plant.slots))
 
 
 def _together(*keys: str) -> str:

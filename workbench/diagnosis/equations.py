@@ -14,14 +14,15 @@ stands for the duct.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from workbench.diagnosis.fit import _inverse
+from workbench.diagnosis.fit import Fit, _inverse
 from workbench.diagnosis.policy import TIE
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import answers, coefficients, trajectory, variables
-from workbench.records import field, record
+from workbench.records import record
 
 FITTED = 8  # laws that come closest after a linear step
 STEPS, ENOUGH = 40, 0.5  # of a law's fit, at most; of the cost, what the last one gains
@@ -51,53 +52,62 @@ def instead(model: Model, key: str) -> Law | None:
     made = variables(trajectories)
     argument = plant.argument(key.partition("@")[2])
     over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
-    near: list[tuple[float, str, str, Sequence[np.ndarray], float]] = []
+    plain = {name: (made[name][1], *_powers([t[name] for t in trajectories])) for name in over}
+    near: list[tuple[float, _Form]] = []
     for state in plant.laws:
         changing = coefficients(model, ("rate", state), trajectories, {name: made[name] for name in over})
-        changing = {name: basis for name, basis in changing.items() if argument not in name.split(" times ")}
-        laws = {name: [made[name][1], *_powers([t[name] for t in trajectories])] for name in over}
-        laws |= {name: [basis] for name, (_, basis) in changing.items()}
-        for variable, basis in ((variable, basis) for variable, bases in laws.items() for basis in bases):
-            push = _pushed(bare, state, variable, basis)
-            if np.isfinite(push.information).all():  # a push that the filter does not hold tells nothing
-                near.append((push.linear, state, variable, basis, TIE if variable in changing else -np.inf))
+        changing = {name: basis for name, (_, basis) in changing.items() if argument not in name.split(" times ")}
+        forms = [_Form(state, name, basis) for name, bases in plain.items() for basis in bases]
+        forms += [_Form(state, name, basis, TIE) for name, basis in changing.items()]
+        for form in forms:
+            linear = _pushed(bare, form).linear
+            if np.isfinite(linear):  # a push that the filter does not hold tells nothing
+                near.append((linear, form))
     found = []
-    for linear, state, variable, basis, least in sorted(near, key=lambda law: law[0])[:FITTED]:
-        gap = _fitted(_pushed(bare, state, variable, basis)) if np.isfinite(linear) else np.inf
-        if gap < -least:
-            found.append(Law(state, variable, gap))
+    for _, form in sorted(near, key=lambda law: law[0])[:FITTED]:
+        gap = _fitted(_pushed(bare, form))
+        if gap < -form.least:
+            found.append(Law(form.state, form.variable, gap))
     return min(found, key=lambda law: law.gap, default=None)
 
 
-@record
-class _Bare:
-    """A fitted model without one effect: unknowns at which it has none, which of them are left, and its errors and cost there.
+class _Form(NamedTuple):
+    """Bases (N, c) by record, over `variable`, of what the rate of `state` may lack.
 
-    with_effect: the cost with it; numbers: of the effect.
+    least: BIC by which it must be better to count.
+    """
+
+    state: str
+    variable: str
+    basis: Sequence[np.ndarray]
+    least: float = -np.inf
+
+
+class _Bare(NamedTuple):
+    """A fitted model without one of its effects and with all other unknowns as they are.
+
+    fit: there, with the Jacobian of the whole model. left: which unknowns are left; slope, information: over them. with_effect:
+    the cost with the effect, which has so many numbers.
     """
 
     model: Model
-    z: np.ndarray = field("n")
-    left: tuple[int, ...]
-    errors: tuple[np.ndarray, ...]
-    cost: float
+    fit: Fit
+    left: np.ndarray
+    slope: np.ndarray
+    information: np.ndarray
     with_effect: float
     numbers: int
 
 
-@record
-class _Push:
-    """A law over `variable` in the rate of `state`, beside a bare model: bases (N, c) and responses (N ny, c) by record.
+class _Push(NamedTuple):
+    """A form beside a bare model: responses (N ny, c) by record, information of all unknowns that are left and of its numbers.
 
-    information (n + c, n + c): of the unknowns that are left and of the law's numbers. linear: the gap after one linear step.
-    more: what the law's further numbers cost.
+    linear: the gap after one linear step. more: what its further numbers cost.
     """
 
     bare: _Bare
-    state: str
-    variable: str
-    basis: tuple[np.ndarray, ...]
-    responses: tuple[np.ndarray, ...]
+    form: _Form
+    responses: Sequence[np.ndarray]
     information: np.ndarray
     linear: float
     more: float
@@ -113,71 +123,60 @@ def _without(model: Model, key: str) -> _Bare:
     fit, unknowns = model.fit, model.fit.unknowns
     named, place = next((t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
     z = fit.z.copy()
+    z[place] = 0.0
     z[place.start : place.start + len(named.sizes)] = unknowns.base[list(named.sizes)]  # the plant's own, 0 where it has none
-    left = tuple(j for j in range(unknowns.size) if not place.start <= j < place.stop)
-    errors = _errors(model, z)
-    return _Bare(model, z, left, errors, _cost(model, z, left, errors), fit.cost, named.count(unknowns.records))
+    left = np.delete(np.arange(unknowns.size), place)
+    bare = replace(fit, z=z, errors=tuple(model.predictor.at(unknowns.point(z))))
+    information = fit.information[np.ix_(left, left)]
+    return _Bare(model, bare, left, _slope(bare, left), information, fit.cost, named.count(unknowns.records))
 
 
-def _errors(model: Model, z: np.ndarray, pushes: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
-    """Whitened errors (N ny) of every record, with rates of change (N, nx, 1) that are given."""
-    point, found = model.fit.unknowns.point(z), []
-    for i in range(model.fit.unknowns.records):
-        push = None if pushes is None else pushes[i]
-        e = model.predictor.errors(i, point.p[None], point.eta[i][None], point.start[i][None], push=push)
-        found.append(e[0].ravel())
-    return tuple(found)
+def _slope(fit: Fit, left: np.ndarray) -> np.ndarray:
+    """Of half the cost over the unknowns that are left, with the Jacobian that the fit has."""
+    return (fit.seen([e.ravel() for e in fit.errors]) + fit.prior)[left]
 
 
-def _cost(model: Model, z: np.ndarray, left: Sequence[int], errors: Sequence[np.ndarray]) -> float:
-    prior = np.where(model.fit.unknowns.believed, z, 0.0)[list(left)]
-    value = sum(float(e @ e) for e in errors) + float(prior @ prior)
-    return value if np.isfinite(value) else np.inf
+def _over_law(responses: Sequence[np.ndarray], fit: Fit) -> np.ndarray:
+    """The slope of half the cost over the numbers of a law."""
+    return sum((r.T @ e.ravel() for r, e in zip(responses, fit.errors, strict=True)), start=np.zeros(responses[0].shape[1]))
 
 
-def _slope(push: _Push, z: np.ndarray, errors: Sequence[np.ndarray]) -> np.ndarray:
-    """Of half the cost over the unknowns that are left and the numbers of the law."""
-    fit = push.bare.model.fit
-    prior = np.where(fit.unknowns.believed, z, 0.0)
-    of_law = sum(r.T @ e for r, e in zip(push.responses, errors, strict=True))
-    return np.concatenate([(fit.seen(errors) + prior)[list(push.bare.left)], of_law])
-
-
-def _pushed(bare: _Bare, state: str, variable: str, basis: Sequence[np.ndarray]) -> _Push:
-    fit, left = bare.model.fit, list(bare.left)
-    R = answers(bare.model, ("rate", state), basis)
-    JR = fit.seen(R)[left]
-    A = np.block([[fit.information[np.ix_(left, left)], JR], [JR.T, sum(r.T @ r for r in R)]])
+def _pushed(bare: _Bare, form: _Form) -> _Push:
+    R = answers(bare.model, ("rate", form.state), form.basis)
+    JR = bare.fit.seen(R)[bare.left]
+    A = np.block([[bare.information, JR], [JR.T, sum(r.T @ r for r in R)]])
     more = (JR.shape[1] - bare.numbers) * float(np.log(sum(map(len, bare.model.predictor.records))))
-    push = _Push(bare, state, variable, tuple(basis), tuple(R), A, np.inf, more)
-    b = _slope(push, bare.z, bare.errors)
-    gained = float(b @ _inverse(A) @ b) if np.isfinite(A).all() else 0.0
-    return replace(push, linear=bare.cost - gained - bare.with_effect + more)
+    linear = np.inf
+    if np.isfinite(A).all():
+        b = np.concatenate([bare.slope, _over_law(R, bare.fit)])
+        linear = bare.fit.cost - float(b @ _inverse(A) @ b) - bare.with_effect + more
+    return _Push(bare, form, R, A, linear, more)
 
 
 def _fitted(push: _Push) -> float:
     """The gap of a law after a few steps of its fit; each counts only as far as the errors themselves fall."""
-    bare, model = push.bare, push.bare.model
-    unknowns, left, at = model.fit.unknowns, list(push.bare.left), model.predictor.plant.state_names.index(push.state)
-    inverse = _inverse(push.information)
-    z, c, errors, cost = bare.z, np.zeros(push.basis[0].shape[1]), bare.errors, bare.cost
+    fit, left = push.bare.fit, push.bare.left
+    c, inverse = np.zeros(push.responses[0].shape[1]), _inverse(push.information)
     for _ in range(STEPS):
-        step = inverse @ _slope(push, z, errors)
+        step = inverse @ np.concatenate([_slope(fit, left), _over_law(push.responses, fit)])
         for share in (1.0, 0.5, 0.2, 0.05, 0.01):
-            new_z, new_c = z.copy(), c - share * step[len(left) :]
-            new_z[left] -= share * step[: len(left)]
-            new_z = np.where(np.isin(np.arange(len(z)), left), unknowns.clip(new_z), bare.z)
-            pushes = []
-            for basis in push.basis:
-                pushes.append(np.zeros((len(basis), len(model.predictor.plant.states), 1)))
-                pushes[-1][:, at, 0] = basis @ new_c
-            found = _errors(model, new_z, pushes)
-            new_cost = _cost(model, new_z, left, found)
-            if new_cost < cost:
+            numbers = c - share * step[len(left) :]
+            moved = _moved(push, fit, share * step[: len(left)], numbers)
+            if moved.cost < fit.cost:
                 break
         else:
             break
-        gained, z, c, errors, cost = cost - new_cost, new_z, new_c, found, new_cost
+        gained, fit, c = fit.cost - moved.cost, moved, numbers
         if gained < ENOUGH:
             break
-    return cost - bare.with_effect + push.more
+    return fit.cost - push.bare.with_effect + push.more
+
+
+def _moved(push: _Push, fit: Fit, step: np.ndarray, c: np.ndarray) -> Fit:
+    """The fit with the unknowns that are left less `step`, and the law with the numbers c."""
+    model, left, z = push.bare.model, push.bare.left, fit.z.copy()
+    z[left] -= step
+    z[left] = fit.unknowns.clip(z)[left]
+    on = np.array([name == push.form.state for name in model.predictor.plant.state_names], dtype=float)
+    pushes = [(basis @ c)[:, None, None] * on[:, None] for basis in push.form.basis]
+    return replace(fit, z=z, errors=tuple(model.predictor.at(fit.unknowns.point(z), pushes)))

@@ -174,9 +174,13 @@ class Predictor:
         e[~(np.abs(e) <= RAN_AWAY)] = RAN_AWAY
         return np.ascontiguousarray(np.moveaxis(self.passes[i].whitening @ e if white else e, 2, 0))
 
-    def at(self, point: Point) -> list[np.ndarray]:
-        """Whitened errors (N, ny) of every record at one point."""
-        return [self.errors(i, point.p[None], point.eta[i][None], point.start[i][None])[0] for i in range(len(self.records))]
+    def at(self, point: Point, pushes: Sequence[np.ndarray] | None = None) -> list[np.ndarray]:
+        """Whitened errors (N, ny) of every record at one point; pushes: see `errors`, one for each record."""
+        found = []
+        for i in range(len(self.records)):
+            push = None if pushes is None else pushes[i]
+            found.append(self.errors(i, point.p[None], point.eta[i][None], point.start[i][None], push=push)[0])
+        return found
 
     def corrected(self, i: int, point: Point) -> np.ndarray:
         """Full states (N, n) of record i after each sample's correction: states, angles, effects' own states, sensor memories."""

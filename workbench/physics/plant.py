@@ -200,6 +200,11 @@ class Plant:
         )
 
     @cached_property
+    def effect_keys(self) -> tuple[str, ...]:
+        """ "effect@place" of every effect that fits a port, in the order of the effect vector eta."""
+        return tuple(dict.fromkeys(slot.key for slot in self.slots))
+
+    @cached_property
     def inner(self) -> tuple[tuple[str, str], ...]:
         """(place, effect id) of every effect with a state of its own; the stepper integrates it, 0 at the start."""
         return tuple((place, effect.id) for (_, place), own in self.offered.items() for effect in own if effect.state)
@@ -251,7 +256,7 @@ class Plant:
         """Effect parameters eta (ne): the plant's own but for `sizes`, e.g. {"coulomb@unwind": {"level": 0.002}}."""
         values = self.neutral.copy()
         for key, numbers in (*self.effects.items(), *(sizes or {}).items()):
-            check_known("effect", key, dict.fromkeys(slot.key for slot in self.slots), file=self.name)
+            check_known("effect", key, self.effect_keys, file=self.name)
             own = {slot.parameter.name: i for i, slot in enumerate(self.slots) if slot.key == key}
             for name, value in numbers.items():
                 values[own[check_known(f"parameter of {key}", name, own, file=self.name)]] = value

@@ -133,7 +133,7 @@ def refitted(model: Model, key: str, guess: list[float], names=None, *, rounds=6
 
 def keys_of(model: Model) -> list[str]:
     """Every effect that fits the model's plant."""
-    return list(dict.fromkeys(slot.key for slot in model.predictor.plant.slots))
+    return list(model.predictor.plant.effect_keys)
 
 
 def screened(model: Model, keys=None) -> list[Score]:

@@ -123,7 +123,7 @@ def test_the_linear_gap_is_that_of_a_least_squares_fit_with_every_column_written
         right.append(predictor.errors(i, fit.point.p[None], eta[None], fit.point.start[i][None])[0].ravel())
     A, b = np.vstack(rows), np.concatenate(right)
     left = b - A @ np.linalg.lstsq(A, b)[0]
-    push = equations._pushed(equations._without(model, key), law.state, law.variable, bases)
+    push = equations._pushed(equations._without(model, key), equations._Form(law.state, law.variable, bases))
     assert push.linear == pytest.approx(left @ left - fit.cost + 5 * np.log(1200), rel=1e-4, abs=1e-3)
 
 
@@ -248,6 +248,6 @@ def test_a_law_costs_what_its_errors_say_and_not_what_a_linear_step_promises():
     plant, data = tank_records(-0.15, 0.0)
     model = refitted(fitted(data, plant), "offset@u", [-0.1])
     bare = equations._without(model, "offset@u")
-    assert bare.cost > model.fit.cost + 20.0
-    push = equations._pushed(bare, "h", "one", [np.ones((len(r), 1)) for r in model.predictor.records])
+    assert bare.fit.cost > model.fit.cost + 20.0
+    push = equations._pushed(bare, equations._Form("h", "one", [np.ones((len(r), 1)) for r in model.predictor.records]))
     assert equations._fitted(push) == pytest.approx(0.0, abs=1.0)  # a constant flow is the offset itself, with as many numbers

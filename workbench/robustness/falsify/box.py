@@ -76,7 +76,7 @@ def fitted_box_of(plant: Plant, content: Any, path: str | Path = "fitted interva
         bounds = {(slot.key, slot.parameter.name): slot.parameter for slot in plant.slots}
         for cause in content.get("causes", []):
             key = f"{cause['effect']}@{cause['at']}"
-            check_known("effect", key, dict.fromkeys(slot.key for slot in plant.slots), file=path)
+            check_known("effect", key, plant.effect_keys, file=path)
             phased = any(slot.key == key and slot.effect.phase for slot in plant.slots)
             for name, own in cause["parameters"].items():
                 if phased and name == AMPLITUDE:  # where a run meets it nobody knows
@@ -160,6 +160,6 @@ class ParameterBox:
         if d.effect is None:
             names = [q.name for q in self.plant.parameters]
             return names.index(check_known("parameter", d.name, names, file=self.plant.name))
-        check_known("effect", d.effect, dict.fromkeys(slot.key for slot in self.plant.slots), file=self.plant.name)
+        check_known("effect", d.effect, self.plant.effect_keys, file=self.plant.name)
         own = {slot.parameter.name: i for i, slot in enumerate(self.plant.slots) if slot.key == d.effect}
         return own[check_known(f"parameter of {d.effect}", d.name, own, file=self.plant.name)]
