@@ -1,5 +1,7 @@
 """Records that are sampled much faster than their machine moves are thinned out, with a word; others stay as they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -51,21 +53,70 @@ def test_the_machines_of_the_workbench_stay_as_they_are():
             assert thinned(Dataset((e,)))[1] == "", (name, experiment)
 
 
-@pytest.mark.slow
 def test_a_plant_is_the_measure_where_there_is_one():
-    fast = Dataset((slow(ROBOT.dt / 20),))
+    fast = Dataset((slow(ROBOT.dt / 20, 3.0),))
     after, said = thinned(fast, plant=ROBOT)
     assert after.dt == pytest.approx(ROBOT.dt)
     assert "welding-robot is sampled every" in said
-    twice = Dataset((slow(ROBOT.dt / 2),))
+    twice = Dataset((slow(ROBOT.dt / 2, 3.0),))
     assert thinned(twice, plant=ROBOT) == (twice, "")
-    minutes = Dataset((slow(ROBOT.dt / 60),))  # may be minutes for seconds: that is asked
+    minutes = Dataset((slow(ROBOT.dt / 60, 1.0),))  # may be minutes for seconds: that is asked
     assert thinned(minutes, plant=ROBOT) == (minutes, "")
 
 
-@pytest.mark.slow
+def moving(y, *, dt=0.001, name="moving"):
+    """A record of outputs y (N,) or (ny, N) that no input moves."""
+    return Experiment.from_arrays(name, dt, outputs={f"y{i}": own for i, own in enumerate(np.atleast_2d(y))})
+
+
+def tones(count, fastest, *others):
+    """Sines of these frequencies in periods a sample, of one size, (count,)."""
+    return sum(np.sin(2.0 * np.pi * f * np.arange(count) + f) for f in (fastest, *others))
+
+
+@pytest.mark.parametrize("fastest", [1e-3, 2e-3, 4e-3])
+def test_of_the_fastest_tone_twenty_samples_a_period_are_kept(fastest):
+    """Whatever the unit of the record, a drift of its zero, slower outputs beside it, and noise of a sixteenth of its size."""
+    N = 60_000
+    y, t = tones(N, fastest, 0.3 * fastest), np.linspace(-1.0, 3.0, N)
+    noise = np.sqrt(0.004) * np.random.default_rng(2).standard_normal(N)  # of the mean square of y
+    found = []
+    for record in (y, 1e9 * y, 1e-9 * y, y + 100.0 * t, [y, tones(N, 0.1 * fastest)], [tones(N, 0.1 * fastest), y], y + noise):
+        after, said = thinned(Dataset((moving(record),)))
+        found.append(round(after.dt / 0.001))
+        assert f"one sample in {found[-1]} " in said
+        assert "nothing moves faster" in said
+    expected = 1.0 / (20.0 * fastest)
+    assert 0.85 * expected <= min(found) <= max(found) <= expected  # the window makes a tone a little wider
+    assert found[1:3] == [found[0], found[0]]
+
+
+def test_what_is_not_sampled_too_fast_or_does_not_move_stays_as_it_is():
+    noise = np.random.default_rng(1).standard_normal(20_000)
+    for y in (tones(20_000, 1.0 / 190.0), noise, np.zeros(20_000), np.linspace(0.0, 1.0, 20_000), tones(1900, 1e-3)):
+        records = Dataset((moving(y),))
+        assert thinned(records) == (records, "")
+
+
+def test_every_record_keeps_a_thousand_samples():
+    long, short = moving(tones(60_000, 1e-3), name="long"), moving(-tones(8_500, 1e-3), name="short")
+    after, _ = thinned(Dataset((long, short)))
+    assert after.dt == pytest.approx(0.008)  # the motion alone would do with one sample in 50
+    assert min(len(e) for e in after) >= 1000
+
+
+def test_records_with_a_gap_stay_as_they_are_until_they_are_asked_for():
+    whole = moving(tones(20_000, 1e-3), name="whole")
+    gap = replace(moving(-tones(20_000, 1e-3), name="gap"), t=whole.t + 0.5 * (np.arange(20_000) > 9000))
+    assert thinned(Dataset((whole,)))[1]
+    for records in (Dataset((whole, gap)), Dataset((gap, whole))):
+        assert thinned(records) == (records, "")
+        with pytest.raises(InputError, match="gap"):
+            thinned(records, 0.01)
+
+
 def test_the_user_chooses():
-    records = Dataset((slow(0.001),))
+    records = Dataset((slow(0.001, 3.0),))
     assert thinned(records, 0.001) == (records, "")
     assert thinned(records, 0.004)[0].dt == pytest.approx(0.004)
     with pytest.raises(InputError, match="expected a whole number"):
