@@ -8,7 +8,7 @@ import pytest
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, OperatingPoint, Predictor, constant_model
-from workbench.metrics import fit, noise_ceiling, rm, rmse, score, to_json
+from workbench.metrics import fit, noise_ceiling, rm, rmse, score, to_json, tracking
 
 
 def test_the_equations_on_numbers_worked_by_hand():
@@ -36,9 +36,24 @@ def test_a_diverged_simulation_scores_minus_infinity_without_a_warning():
     assert np.isfinite(fit(y, np.full(5, 1e200)))
 
 
-def test_a_constant_output_is_refused():
+@pytest.mark.parametrize("value", [3.0, 0.1, -1e9 / 3.0, 1e-200 / 3.0, 0.0])
+@pytest.mark.parametrize("N", [1, 7, 10])
+def test_a_constant_output_is_refused(value, N):
+    """Also where the mean of equal numbers is rounded, and is none of them."""
     with pytest.raises(InputError, match="constant"):
-        fit(np.full(10, 3.0), np.zeros(10))
+        fit(np.full(N, value), np.zeros(N))
+
+
+@pytest.mark.parametrize("shapes", [((5,), (1,)), ((5,), (4,)), ((5, 1), (5, 1))])
+def test_what_is_no_pair_of_channels_is_not_compared(shapes):
+    y, ys = (np.arange(float(np.prod(shape))).reshape(shape) for shape in shapes)
+    for measure in (fit, rm):
+        with pytest.raises(InputError, match="two channels of one length"):
+            measure(y, ys)
+
+
+def test_tracking_on_numbers_worked_by_hand():
+    assert tracking(np.array([3.0, -4.0, 0.0, 0.0]), 0.5) == {"RMS": 2.5, "max": 4.0, "IAE": 3.5}
 
 
 def test_the_noise_ceiling_is_what_the_truth_scores():
@@ -108,6 +123,8 @@ def test_short_records_and_strange_horizons_are_refused():
     y, u = run(N=21)
     with pytest.raises(InputError, match="warm-up"):
         score(lag(), record_of(y, u), "held-out")
+    y, u = run(N=22)
+    assert len(score(lag(), record_of(y, u), "held-out")) == 3  # two rows are left
     y, u = run()
     with pytest.raises(InputError, match="horizon"):
         score(lag(), record_of(y, u), "held-out", [0])
