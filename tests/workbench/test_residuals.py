@@ -4,19 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import chi2, kstest, norm
 
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, OperatingPoint, Predictor, constant_model
-from workbench.residuals import residual_test
+from workbench.residuals import ResidualTest, residual_test
 
 POLE, GAIN, KALMAN = 0.9, 0.5, 0.4
 
 
-def truth(pole=POLE, gain=GAIN, kalman=KALMAN):
-    """x+ = pole x + gain u + kalman e, y = x + e, as a model with its own predictor."""
-    point = OperatingPoint(CONSTANT, np.zeros((1, 1)), np.zeros((1, 1)))
+def truth(pole=POLE, gain=GAIN, kalman=KALMAN, u0=0.0, y0=0.0):
+    """x+ = pole x + gain (u - u0) + kalman e, y = x + y0 + e, as a model with its own predictor."""
+    point = OperatingPoint(CONSTANT, np.array([[u0]]), np.array([[y0]]))
     predictor = Predictor(np.array([[[pole - kalman]]]), np.array([[[gain]]]), np.array([[[kalman]]]), 30)
     channels = ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),))
     matrices = [np.array([[v]]) for v in (pole, gain, 1.0, 0.0)]
@@ -56,6 +56,62 @@ def test_without_the_correction_for_smooth_inputs_the_test_would_be_wrong():
         for s in range(60)
     ]
     assert np.std(naive) > 2.0 * np.sqrt(2 * 31)
+
+
+def test_coloured_residuals_alone_do_not_blame_the_input():
+    """A model without noise model has the true gain and coloured residuals: its statistic has the mean of its chi-squared."""
+    runs = [residual_test(truth(kalman=0.0), machine(s, 800, 0.0, 0.9), closed_loop=False, lags=10) for s in range(60)]
+    white, free = ([run.checks[kind] for run in runs] for kind in (0, 1))
+    assert np.mean([check.p_value for check in white]) < 1e-6
+    assert np.mean([check.statistic / check.dof for check in free]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_whiteness_is_the_portmanteau_statistic():
+    """Ljung and Box, with correlations by Fourier transform."""
+    e = machine(6, 700)
+    found = residual_test(truth(), e, lags=12, closed_loop=False).checks[0]
+    left = (e[["y"]] - truth().predict(e))[30:, 0]
+    N = len(left)
+    power = np.abs(np.fft.rfft(left - left.mean(), 2 * N)) ** 2
+    r = np.fft.irfft(power)[:13] / np.fft.irfft(power)[0]
+    assert found.statistic == pytest.approx(N * (N + 2) * sum(r[k] ** 2 / (N - k) for k in range(1, 13)), rel=1e-9)
+    assert found.dof == 12
+    assert found.p_value == pytest.approx(chi2.sf(found.statistic, 12))
+    np.testing.assert_allclose(found.correlation, r[1:], atol=1e-12)
+    assert found.bound == pytest.approx(norm.ppf(0.995) / np.sqrt(N), rel=1e-3)
+
+
+def test_units_and_zeros_of_the_channels_do_not_matter():
+    e = machine(7, 700)
+    moved = replace(e, values=e.values * [0.01, 0.01] + [5.0, -3.0])
+    for closed in (False, True):
+        one, other = (
+            residual_test(model, record, closed_loop=closed).checks
+            for model, record in ((truth(), e), (truth(u0=5.0, y0=-3.0), moved))
+        )
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(b.correlation, a.correlation, atol=1e-9)
+            assert (b.dof, b.bound, b.p_value) == pytest.approx((a.dof, a.bound, a.p_value), rel=1e-6)
+
+
+@pytest.mark.parametrize("at", [30, 400, 799])
+def test_an_input_is_judged_where_it_moves_at_all(at):
+    """And one that stands still is not."""
+    e = machine(8)
+    still = replace(e, values=e.values * [0.0, 1.0])
+    assert [c.kind for c in residual_test(truth(), still, closed_loop=False).checks] == ["whiteness"]
+    still = replace(still, values=still.values + np.outer(np.arange(800) == at, [1.0, 0.0]))
+    assert [c.kind for c in residual_test(truth(), still, closed_loop=False).checks] == ["whiteness", "input"]
+
+
+def test_what_is_rejected_is_said():
+    found = residual_test(truth(), machine(9), closed_loop=False)
+    assert str(found) == "truth on r: residuals are white and free of the inputs, as far as this record shows"
+    white, free = found.checks
+    at = ResidualTest("m", "r", False, (replace(white, p_family=0.05), replace(free, p_family=0.0499)))
+    assert not at.passed
+    assert at.rejected == at.checks[1:]  # below the level, not at it
+    assert str(at) == "m on r: residual of y still contains u"
 
 
 def test_feedback_alone_does_not_reject_a_true_model():
