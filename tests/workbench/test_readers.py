@@ -1,6 +1,7 @@
 """Readers: what is written comes back bit for bit, and every kind of bad file has its own message and mend."""
 
 import math
+import re
 import time
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scipy.io import savemat
 
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError
-from workbench.readers import LAYOUTS, check_units, read_file, write_csv
+from workbench.readers import LAYOUTS, UNITS, check_units, read_file, write_csv
 from workbench.sources import read
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -56,6 +57,8 @@ def test_a_file_of_the_contract_gives_names_units_roles_and_sample_time(tmp_path
 @pytest.mark.parametrize("start", ["", "\ufeff"])
 def test_delimiters_line_ends_marks_and_blank_lines_do_not_change_the_numbers(tmp_path, delimiter, end, start):
     text = start + end + end.join([HEADER, "", *rows(9), "", ""]).replace(",", delimiter)
+    blanks = put(tmp_path, text + "  " + end, "blanks.txt")  # a line that is not empty
+    np.testing.assert_array_equal(read_file(blanks).values, read_file(put(tmp_path, text, "run.txt")).values)
     record = read_file(put(tmp_path, text, "run.txt"))
     np.testing.assert_array_equal(record["w3"], 0.5 * np.arange(9))
     np.testing.assert_array_equal(record["V1"], np.arange(9) % 2)
@@ -66,6 +69,10 @@ def test_the_time_column_may_stand_anywhere_and_other_columns_keep_their_order(t
     record = read_file(put(tmp_path, "y,time [s],u\n1,0,4\n2,1,5\n3,2,6\n"))
     assert record.names == ("y", "u")
     np.testing.assert_array_equal(record.values, [[1, 4], [2, 5], [3, 6]])
+
+
+def test_a_name_may_hold_a_number(tmp_path):
+    assert read_file(put(tmp_path, "t,y 1,2 u\n0,4,1\n1,5,2\n2,6,3\n")).names == ("y 1", "2 u")
 
 
 def test_options_win_over_names(tmp_path):
@@ -137,6 +144,7 @@ BAD_LINES = {
     "empty cell": (5, "0.3,1,0,,0.1,10", "theta", "empty cell", "repair"),
     "text": (5, "0.3,1,0,0,off,10", "r2", "text 'off'", "plain number"),
     "underscore": (5, "0.3,1_0,0,0,1,10", "V1", "text '1_0'", "plain number"),
+    "two points": (5, "0.3,1,0,0,1.2.3,10", "r2", "text '1.2.3'", "plain number"),
     "cut off": (5, "0.3,1,0", "theta", "3 cells, expected 6", "cut off"),
     "trailing delimiter": (5, "0.3,1,0,0,0.1,10,", None, "7 cells, expected 6", "off the end"),
     "too many cells": (5, "0.3,1,0,0,0.1,10,7", None, "7 cells, expected 6", "one cell for each name"),
@@ -258,7 +266,6 @@ def test_no_two_kinds_of_bad_file_share_a_message(tmp_path):
 # ---- MAT -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_mat_vectors_become_channels_and_a_matrix_one_channel_for_each_column(tmp_path):
     t = np.arange(5) * 0.5
     u, y = np.arange(10.0).reshape(5, 2), np.arange(5, dtype=np.int16)
@@ -303,18 +310,22 @@ def mat(folder: Path, **content) -> Path:
     return folder / "a.mat"
 
 
+def test_a_mat_file_without_time_or_cut_off_is_refused(tmp_path):
+    whole = mat(tmp_path, y=np.random.default_rng(1).standard_normal(5))
+    assert "no time vector; numeric variables: y" in refusal(whole).problem
+    problem = refusal(put(tmp_path, whole.read_bytes()[:200], "b.mat")).problem
+    assert re.fullmatch(r"cannot be read as a MAT file \(.*\w.*\)", problem), problem  # with what its reader said
+
+
 @pytest.mark.slow
 def test_bad_mat_files_are_told_apart(tmp_path):
     ramp = np.arange(5.0)
-    assert "no time vector; numeric variables: y" in refusal(mat(tmp_path, y=ramp)).problem
     assert "no variable has the 5 samples" in refusal(mat(tmp_path, t=ramp, y=np.ones(4))).problem
     broken = refusal(mat(tmp_path, t=ramp, y=[0, 1, math.nan, 3, 4]))
     assert (broken.channel, "sample 3 is nan" in broken.problem) == ("y", True)
     gap = refusal(mat(tmp_path, t=[0, 1, 2, 5, 6, 7], y=np.ones(6)))
     assert "sample 4: gap" in gap.problem
     assert "into two files: what comes before sample 4," in gap.mend
-    whole = mat(tmp_path, t=ramp, y=np.random.default_rng(1).standard_normal(5)).read_bytes()
-    assert "cannot be read as a MAT file" in refusal(put(tmp_path, whole[:200], "a.mat")).problem
     assert "cannot be read as a MAT file" in refusal(put(tmp_path, "t,y\n" * 99, "a.mat")).problem
     new = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n"
     error = refusal(put(tmp_path, new, "a.mat"))
@@ -382,6 +393,29 @@ def test_a_wrong_unit_is_refused_with_the_factor_that_mends_it(unit, expected, f
         check_units(record, {"w3": expected})
     assert (caught.value.file, caught.value.channel) == ("run", "w3")
     assert f"multiply the column by {factor:.10g} and write w3 [{expected}]" in caught.value.mend
+
+
+def test_units_follow_from_those_they_are_made_of():
+    """Prefixes are powers of ten, quotients and products those of their parts; the rest is what the standards say."""
+    factor = {name: unit.factor for name, unit in UNITS.items()}
+    base = {"s": 1, "min": 60, "h": 3600, "rad": 1, "turn": 2 * math.pi, "deg": math.pi / 180, "°": math.pi / 180, "m": 1, "V": 1}
+    base |= {"in": 0.0254, "A": 1, "N": 1, "kgf": 9.80665, "g": 1e-3, "rpm": 2 * math.pi / 60, "1/min": 2 * math.pi / 60}
+    prefixes = {"m": 1e-3, "u": 1e-6, "k": 1e3, "c": 1e-2}
+    alike = {"N m": "Nm", "N*m": "Nm", "mNm": "mN", "Nm": "N"}
+
+    def expected(name):
+        if name in base:
+            return base[name]
+        if name in alike:
+            return expected(alike[name])
+        if "/" in name:
+            above, below = name.split("/")
+            return expected(above) / expected(below)
+        return prefixes[name[0]] * expected(name[1:])
+
+    assert factor == pytest.approx({name: expected(name) for name in factor}, rel=1e-14)
+    for unit in UNITS.values():
+        assert any(other.quantity == unit.quantity and other.factor == 1.0 for other in UNITS.values())
 
 
 def test_units_of_another_quantity_or_none_at_all(tmp_path):
