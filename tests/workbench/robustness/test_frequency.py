@@ -129,6 +129,31 @@ def test_gains_without_resonance_peak_at_the_ends():
     assert peak(low, least=5.0).gain <= 2.0
 
 
+def first_order(pole, gain, direct, dt):
+    """direct + gain / (z - pole), or over s where dt = 0."""
+    return System([[pole]], [[1.0]], [[gain]], [[direct]], dt)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.05, 2.0])
+def test_a_level_is_reached_where_the_formula_says(dt):
+    """s / (s + a) has the gain 1 / sqrt(2) at a; (z - 1) / (z - p) where |z - 1|^2 = |z - p|^2 / 2."""
+    p = 0.9
+    high_pass = first_order(p, p - 1.0, 1.0, dt) if dt else first_order(-0.3, -0.3, 1.0, dt)
+    expected = np.arccos((1.5 - 0.5 * p**2) / (2.0 - p)) / dt if dt else 0.3
+    assert first_reaching(high_pass, np.sqrt(0.5)) == pytest.approx(expected, rel=1e-9)
+    assert first_reaching(high_pass, 3.0) == high_pass.ends[1]  # nowhere
+    low_pass = first_order(p, 1.0 - p, 0.0, dt) if dt else first_order(-0.3, 0.3, 0.0, dt)
+    assert first_reaching(low_pass, 0.5) == 0.0  # at once
+
+
+def test_an_integral_whose_pole_is_rounded_is_no_slow_pole():
+    for dt in (0.01, 1.0, 100.0):
+        poles = np.diag([0.5, 1.0 - 1e-12]), np.diag([0.5, 1.0 - 1e-6])
+        rounded, slow = (System(A, np.ones((2, 1)), np.ones((1, 2)), [[0.0]], dt).ends for A in poles)
+        assert rounded == pytest.approx(first_order(0.5, 1.0, 0.0, dt).ends, rel=1e-12)
+        assert slow[0] < 1e-5 * rounded[0]
+
+
 # ---- margins of loops -----------------------------------------------------------------------------------------------------
 
 
@@ -191,6 +216,24 @@ def test_a_delay_margin_has_both_its_ends():
     late, direct = System([[0.0]], [[1.0]], [[0.5]], [[0.0]], 0.1), System([[0.0]], [[1.0]], [[0.1]], [[2.0]], 0.1)
     assert delay_margin(Closed.of(late, law).input_sensitivity) == np.inf
     assert delay_margin(Closed.of(direct, law).input_sensitivity) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("pole", "gain", "direct"), [(0.5, 0.8, 0.0), (0.9, 0.5, 0.0), (0.0, 0.9, 0.3), (0.4, 0.9, -0.2), (0.0, -0.9, 0.3)]
+)
+def test_a_delay_margin_is_that_of_the_formula(pole, gain, direct):
+    """L = d + g / (z - p): where |L| = 1, |d z + g - d p|^2 = |z - p|^2, which holds the angle of z by its cosine alone."""
+    rest = gain - direct * pole
+    cosine = (1.0 + pole**2 - direct**2 - rest**2) / (2.0 * (direct * rest + pole))
+    z = np.exp(1j * np.arccos(cosine))
+    L = direct + gain / (z - pole)
+    assert abs(L) == pytest.approx(1.0)
+    law = System(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]], 0.1)
+    closed = Closed.of(first_order(pole, gain, direct, 0.1), law)
+    assert closed.system.stable
+    expected = (np.angle(L) + np.pi) % (2.0 * np.pi) / np.arccos(cosine) * 0.1
+    large_above = abs(direct + gain / (-1.0 - pole)) >= 1.0  # then any delay is too much
+    assert delay_margin(closed.input_sensitivity) == pytest.approx(0.0 if large_above else expected, rel=1e-7)
 
 
 def test_disk_margins_of_two_commands_that_do_not_meet_are_the_smaller():
