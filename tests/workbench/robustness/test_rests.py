@@ -10,7 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workbench.errors import InputError
+from workbench.intervals.arithmetic import exact
+from workbench.robustness import rests
 from workbench.robustness.envelopes import dual as dual_module
+from workbench.robustness.envelopes import kernel as kernel_module
 from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.envelopes.dual import dual
@@ -82,6 +85,15 @@ def points(course, count, seed):
     return shares[:, :p], shares[:, p:]
 
 
+def held_without_rounding(course, held, delta, e) -> np.ndarray:
+    """The rest of one machine, which is held."""
+    x, w = exact_rest(course, delta, e)
+    u = np.concatenate([rational(e), w])
+    assert np.all(np.abs(u) <= rational(held.size))
+    assert np.all(np.abs(x - rational(course.start) - rational(held.spread) @ u) <= rational(held.slack))
+    return x
+
+
 @pytest.mark.slow
 @settings(max_examples=25)
 @given(
@@ -92,15 +104,68 @@ def test_every_rest_is_held_without_rounding(seed, n, p, c, g, scale):
     held = starts(course)
     if held is None:
         return
-    spread, size, slack = rational(held.spread), rational(held.size), rational(held.slack)
     for delta, e in zip(*points(course, 6, seed), strict=True):
-        x, w = exact_rest(course, delta, e)
-        u = np.concatenate([rational(e), w])
-        assert np.all(np.abs(u) <= size)
-        assert np.all(np.abs(x - rational(course.start) - spread @ u) <= slack)
+        x = held_without_rounding(course, held, delta, e)
         found = course.begun(delta[None], e[None])[0]
         if course.rests(delta[None])[0]:
             np.testing.assert_allclose(found, x.astype(float), rtol=1e-9, atol=1e-9 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("off", [-0.01, 0.0, 0.01])
+def test_rests_are_held_where_the_start_misses_that_of_the_middle(seed, off, monkeypatch):
+    """By the maximum over the signs of many parameters, and by their sum, which is no smaller."""
+    course = resting(seed, p=5)
+    course = replace(course, start=course.start * (1.0 + off))
+    held = starts(course)
+    monkeypatch.setattr(kernel_module, "MOST_SIGNS", 0)
+    summed = starts(course)
+    assert np.all(summed.size >= held.size * (1.0 - 1e-12))
+    for delta, e in zip(*points(course, 4, seed), strict=True):
+        for one in (held, summed):
+            held_without_rounding(course, one, delta, e)
+    if not off:
+        assert held.slack.max() < 1e-12 * np.abs(course.start).max()
+
+
+def test_a_channel_without_parameters_is_still():
+    course = resting(1)
+    held = starts(replace(course, lam=course.lam * (course.channel != 1)))
+    assert held.size[-1] < 1e-100
+    assert held.size[-2] > 0.01
+
+
+@pytest.mark.parametrize("turned", [1e-9, 0.3, 0.5 - 1e-13, 0.5, 0.5 + 1e-13, 0.8])
+def test_what_a_poor_inverse_misses_is_bounded(turned):
+    """R = (1 - turned) / 3 in place of 1 / 3, and 0 in place of the solution 1 / 3: it misses all of it, at any size."""
+    for size in (1.0, 2.0**40, 2.0**-40):
+        left, R = exact(np.array([[3.0]])), np.array([[(1.0 - turned) / 3.0]])
+        found = rests._missed(left, R, exact(np.array([[size]])))[0, 0]
+        assert Fraction(size) / 3 <= Fraction(found) <= Fraction(size) / 3 * 5
+    assert rests._missed(left, -R, exact(np.array([[size]]))) is None  # no inverse at all
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_fixed_point_that_is_told_is_one_without_rounding(seed):
+    """W >= a + M W of every row, however near to 1 the largest eigenvalue is; from 1 on there is none."""
+    random = np.random.default_rng(seed)
+    c, near = int(random.integers(1, 4)), 10.0 ** -random.uniform(0.0, 15.5)
+    through = [random.uniform(0.0, 1.0, (3, c)) for _ in range(c)]
+    radius = max(
+        np.abs(np.linalg.eigvals(np.array([M[i] for M, i in zip(through, rows, strict=True)]))).max()
+        for rows in itertools.product(range(3), repeat=c)
+    )
+    own, edge = [random.uniform(0.0, 1.0, 3) for _ in range(c)], (1.0 - near) / radius
+    W = rests._fixed(own, [edge * M for M in through])
+    if near > 0.01:
+        assert W is not None
+    if W is not None:
+        for j, (a, M) in enumerate(zip(own, through, strict=True)):
+            assert np.all(rational(a) + rational(edge * M) @ rational(W) <= Fraction(W[j]))
+    assert rests._fixed(own, [1.01 / radius * M for M in through]) is None
+    through[0] = np.where(np.arange(c) == 0, np.inf, through[0] * edge)
+    with np.errstate(invalid="ignore"):
+        assert rests._fixed(own, through) is None
 
 
 @pytest.mark.parametrize("seed", range(6))
