@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controllers.export import export
 from controllers.pid import pid, standard_form
 from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID
 from plants import WEB_WINDING
@@ -273,6 +274,8 @@ def test_clamping_holds_the_integral_only_while_it_pushes_outward():
     state = np.array([3.0, *state[1:]])
     _, after = law.step(state, [-0.5], [0.0])  # still beyond, but pulling back
     assert z(after) == pytest.approx(2.95)
+    _, after = law.step(state, [0.0], [0.0])  # beyond, and nothing pushes
+    assert z(after) == 3.0
 
 
 # ---- in the compiled step ---------------------------------------------------------------------------------------------------
@@ -323,6 +326,15 @@ def test_closed_loop_equals_linear_theory_on_a_linear_plant():
     loop = control.interconnect([machine, law.at()], inplist=["r"], outlist=["x", "u"], inputs=["r"], outputs=["x", "u"])
     _, expected = control.forced_response(loop, T=0.1 * np.arange(n), U=r)
     np.testing.assert_allclose(run[["x", "u"]], expected.T, atol=1e-9)
+
+
+def test_it_writes_itself_for_other_programs(tmp_path):
+    for form in ("csv", "json", "c", "st"):
+        own, expected = scheduled().export(form, tmp_path / form, name="web_pid"), export(scheduled(), form, name="web_pid")
+        assert {path.name: path.read_text() for path in own} == {
+            path.name: path.read_text() for path in expected.save(tmp_path / f"{form}-again")
+        }
+        assert own
 
 
 # ---- refused ---------------------------------------------------------------------------------------------------------------
