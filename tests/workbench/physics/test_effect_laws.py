@@ -155,8 +155,8 @@ def test_load_friction_is_offered_only_where_the_equation_gives_the_load():
             lambda x, u, p, at: {"w": u.u + at.a.torque(**load)}, lambda x, p: {"y": x.w}, dt=0.1, ports=(port,),
         )  # fmt: skip
 
-    for port, load in ((Shaft("a", "w"), {"load": 1.0}), (Shaft("a", "w", loaded=True), {})):
-        with pytest.raises(InputError, match="loaded=True"):
+    for port, load, said in ((Shaft("a", "w"), {"load": 1.0}, "a load"), (Shaft("a", "w", loaded=True), {}, "no load")):
+        with pytest.raises(InputError, match=rf"the equation gives {said} at 'a'(.|\n)*loaded=True"):
             plant(port, load).derivative([1.0], [0.0])
 
 

@@ -1,5 +1,6 @@
 """The catalogue of effects: one registry, every file in it, and what a user reads is there."""
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,17 @@ def test_on_a_slide_every_shaft_parameter_is_the_same_number_in_newton_and_metre
             assert "N m" not in sliding.unit
         assert sliding.default == (0.05 * p.default if p.unit == "rad/s" else p.default)
         assert sliding.low <= sliding.default <= sliding.high
+
+
+def test_grids_of_shafts_leave_no_gap():
+    """Half a decade from speed to speed, around the default, and every whole order that the bounds allow."""
+    for effect in effects_of("shaft"):
+        for p in effect.parameters:
+            if p.unit == "rad/s":
+                assert p.default in p.grid
+                assert all(1.0 < after / before < 3.5 for before, after in itertools.pairwise(p.grid))
+            if p.unit == "1/turn":
+                assert p.grid == tuple(k for k in range(100) if p.low <= k <= p.high)
 
 
 def test_dry_friction_of_a_slide_is_full_at_a_tenth_of_its_usual_speed():
