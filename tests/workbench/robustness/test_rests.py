@@ -111,6 +111,19 @@ def test_every_rest_is_held_without_rounding(seed, n, p, c, g, scale):
             np.testing.assert_allclose(found, x.astype(float), rtol=1e-9, atol=1e-9 * np.abs(found).max())
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-30, 1e-105, 1e-112, 0.0])
+@pytest.mark.parametrize("lam", [0.1, 0.3, 0.49])
+def test_what_rests_near_nought_has_a_start_too(size, lam):
+    """x+ = (0.5 + lam delta) x + size rests within size / (0.5 - lam); nought is the rest of every machine."""
+    course = scalar(0.5, lam)
+    course = replace(course, start=size * course.start, before=replace(course.before, q=[size]))
+    held = starts(course)
+    assert held is not None
+    reach = held.spread[0, 0] * held.size[0] + held.slack[0]
+    rest, middle = size / (0.5 - lam), size / 0.5
+    assert rest - middle <= reach <= (rest - middle) * (1.0 + 1e-6) + 1e-107
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("off", [-0.01, 0.0, 0.01])
 def test_rests_are_held_where_the_start_misses_that_of_the_middle(seed, off, monkeypatch):
