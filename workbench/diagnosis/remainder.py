@@ -110,7 +110,7 @@ def variables(trajectories) -> dict[str, tuple[np.ndarray, list[np.ndarray]]]:
             continue
         joined = np.concatenate(values)
         low, high = np.quantile(joined, [0.01, 0.99])
-        if high - low < 1e-9 * (1.0 + abs(high)):
+        if not high - low > 1e-9 * max(abs(low), abs(high)):
             continue
         centres = np.linspace(low, high, BUMPS)
         width = (high - low) / (BUMPS - 1)

@@ -13,16 +13,19 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.stats import gamma, gumbel_r
 
 from workbench.diagnosis.fit import Fit, _inverse
-from workbench.diagnosis.predictor import Predictor
+from workbench.diagnosis.predictor import Point, Predictor
 from workbench.diagnosis.scan import Scan, scan_frequencies, scan_orders
 from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
 WANTED = 1.0  # change of the whitened errors that a step of a difference shall make
+LEAST, FARTHER, TRIALS = 1e-5, 1e4, 6  # the first step, in units of the size; factor to the next where nothing changes; how many
+ROUNDED = 1e-7  # change of the whitened errors that is none
 DRAWS = 300
 COARSE, FINE = 3, 6  # values of a shape's grid that are screened; of a date or a period more
 RAN_AWAY = 1e6  # standard deviations
@@ -102,6 +105,7 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
     """
     plant, found = predictor.plant, []
     length = max(len(r) for r in predictor.records) * plant.dt
+    speeds = _speeds(predictor, fit.point)
     for key in keys:
         own = [i for i, slot in enumerate(plant.slots) if slot.key == key]
         effect = plant.slots[own[0]].effect
@@ -113,10 +117,14 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
             if scan is not None:
                 found += [Variant(key, sizes, ((shape, value),), np.nan, True, scan.tries) for value in scan.peaks]
             continue
-        grids = []
+        grids, middle = [], {i: plant.slots[i].parameter.default for i in shapes}
         for i in shapes:
             q = plant.slots[i].parameter
-            unit = length if q.grid_unit is GridUnit.RECORD else plant.dt if q.grid_unit is GridUnit.SAMPLE else 1.0
+            if q.grid_unit is GridUnit.SPEED and q.grid:  # a default would be far from the speeds of this machine
+                unit = speeds[plant.slots[i].place]
+                middle[i] = _middle(q, unit)
+            else:
+                unit = length if q.grid_unit is GridUnit.RECORD else plant.dt if q.grid_unit is GridUnit.SAMPLE else 1.0
             if q.grid_unit is GridUnit.CYCLES:
                 values = _periods(q, length)
             elif q.grid:  # some values of a grid: a refit finds what lies between
@@ -124,11 +132,11 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
                 values = [q.grid[k] for k in sorted({round(x) for x in inner})]
             else:
                 values = []
-            grids.append([(i, min(max(v * unit, q.low), q.high)) for v in values] or [(i, q.default)])
+            grids.append([(i, min(max(v * unit, q.low), q.high)) for v in values] or [(i, middle[i])])
         finite = [g * _unit(plant, predictor, effect.grid_unit, plant.slots[own[0]].place) for g in effect.grid] or [np.nan]
         if effect.grid:  # of an irregular effect the sizes are tried, a refit finds the shapes
-            grids = [[(i, plant.slots[i].parameter.default)] for i in shapes]
-        for chosen in _one_at_a_time(shapes, grids, plant):
+            grids = [[(i, middle[i])] for i in shapes]
+        for chosen in _one_at_a_time(grids, middle):
             found += [Variant(key, sizes, chosen, g, effect.phase) for g in finite if g > 0.0 or np.isnan(g)]
     return found
 
@@ -162,15 +170,22 @@ def _periodic(predictor: Predictor, fit: Fit, shape: int) -> Scan | None:
     return scan_frequencies(predictor, fit, entry)
 
 
-def _one_at_a_time(
-    shapes: Sequence[int], grids: Sequence[list[tuple[int, float]]], plant: Plant
-) -> list[tuple[tuple[int, float], ...]]:
-    """Each shape over its grid while the others stand at their defaults: a refit moves them together."""
-    default = [(i, plant.slots[i].parameter.default) for i in shapes]
-    tried = [
-        tuple(choice if k == j else default[k] for k in range(len(shapes))) for j, grid in enumerate(grids) for choice in grid
-    ]
+def _one_at_a_time(grids: Sequence[list[tuple[int, float]]], middle: dict[int, float]) -> list[tuple[tuple[int, float], ...]]:
+    """Each shape over its grid while the others stand in the `middle`: a refit moves them together."""
+    tried = [tuple((middle | {i: value}).items()) for grid in grids for i, value in grid]
     return list(dict.fromkeys(tried)) or [()]
+
+
+def _middle(q: EffectParameter, unit: float) -> float:
+    """The middle of a shape's grid, within its bounds."""
+    return min(max(q.grid[len(q.grid) // 2] * unit, q.low), q.high)
+
+
+def _speeds(predictor: Predictor, point: Point) -> dict[str, float]:
+    """Place -> the largest speed of what turns or slides there, but for a hundredth of the samples."""
+    plant = predictor.plant
+    full = np.abs(np.nan_to_num(np.concatenate([predictor.corrected(i, point) for i in range(len(predictor.records))])))
+    return {place: float(np.quantile(full[:, plant.state_names.index(name)], 0.99)) for place, name in plant.turning.items()}
 
 
 def _unit(plant: Plant, predictor: Predictor, unit: GridUnit, place: str) -> float:
@@ -190,70 +205,58 @@ def signatures(
 
     sizes (ne): steps for the sizes of regular effects; see `small_sizes`. columns: keep the projected columns too.
     """
-    point, n, k = fit.point, len(predictor.records), fit.unknowns.size
+    n, k = len(predictor.records), fit.unknowns.size
     lanes = [(v, s) for v in tried for s in (v.sizes if np.isnan(v.finite) else v.sizes[:1])]
-    changes = []
-    for i in range(n):
-        eta = np.repeat(point.eta[i][None], len(lanes) + 1, axis=0)
-        for c, (v, s) in enumerate(lanes):
-            for j, value in v.shapes:
-                eta[c + 1, j] = value
-            eta[c + 1, s] += sizes[s] if np.isnan(v.finite) else v.finite
-        e = _sorted_errors(predictor, i, point, eta)
-        changes.append((e[1:] - e[:1]).reshape(len(lanes), -1).T)
+    changes = _changes(predictor, fit.point, lanes, sizes)
     phase = np.array([v.phase for v, _ in lanes])
     # J'G by record: a column with a phase is one for each record, the others are one for all
     JG = np.zeros((n, k, len(lanes)))
     for i, J in enumerate(fit.jacobian):
         JG[i][fit.unknowns.columns(i)] = J.T @ changes[i]
     whole = JG.sum(axis=0)
-    pull = fit.gradient
     by_block = []
     for i, e in enumerate(fit.errors):
         own = np.where(phase, JG[i], whole)
         projected = changes[i] - fit.jacobian[i] @ (fit.covariance @ own)[fit.unknowns.columns(i)]
         by_block.append(np.add.reduceat(projected * e.ravel()[:, None], _blocks(predictor, i), axis=0))
-    made, at = [], 0
+    made, at, pull = [], 0, fit.gradient
     for v in tried:
         c = len(v.sizes) if np.isnan(v.finite) else 1
         own = slice(at, at + c)
         at += c
-        if max(float(np.abs(g[:, own]).max()) for g in changes) > RAN_AWAY:
+        moved = [g[:, own] for g in changes]
+        if max(float(np.abs(g).max()) for g in moved) > RAN_AWAY:
             continue  # held gains are no filter for so large a size: the smaller ones of its grid speak for it
+        GG, Ge = [g.T @ g for g in moved], [g.T @ e.ravel() for g, e in zip(moved, fit.errors, strict=True)]
+        blocks = [b[:, own] for b in by_block]
         if v.phase:
             mixed = np.concatenate([JG[i][:, own] for i in range(n)], axis=1)
-            GG, Ge = np.zeros((c * n, c * n)), np.zeros(c * n)
-            blocks = np.zeros((sum(map(len, by_block)), c * n))
-            row = 0
-            for i in range(n):
-                there = slice(i * c, (i + 1) * c)
-                GG[there, there] = changes[i][:, own].T @ changes[i][:, own]
-                Ge[there] = changes[i][:, own].T @ fit.errors[i].ravel()
-                blocks[row : row + len(by_block[i]), there] = by_block[i][:, own]
-                row += len(by_block[i])
+            GG, Ge, blocks = np.asarray(block_diag(*GG)), np.concatenate(Ge), np.asarray(block_diag(*blocks))
         else:
             mixed = whole[:, own]
-            GG = sum(g[:, own].T @ g[:, own] for g in changes)
-            Ge = sum(g[:, own].T @ e.ravel() for g, e in zip(changes, fit.errors, strict=True))
-            blocks = np.concatenate([b[:, own] for b in by_block])
+            GG, Ge, blocks = sum(GG), sum(Ge), np.concatenate(blocks)
         weights = fit.covariance @ mixed
         step = np.array([sizes[s] for s in v.sizes] if np.isnan(v.finite) else [v.finite])
         low = np.array([predictor.plant.slots[s].parameter.low for s in v.sizes[:c]])
         repeat = n if v.phase else 1
         kept = _projected_columns(fit, changes, own, weights, v.phase) if columns else None
-        made.append(
-            Signature(
-                v,
-                Ge - weights.T @ pull,
-                GG - mixed.T @ weights,
-                np.tile(step, repeat),
-                blocks,
-                weights,
-                np.tile(low, repeat),
-                kept,
-            )
-        )
+        b, S = Ge - weights.T @ pull, GG - mixed.T @ weights
+        made.append(Signature(v, b, S, np.tile(step, repeat), blocks, weights, np.tile(low, repeat), kept))
     return made
+
+
+def _changes(predictor: Predictor, point: Point, lanes: Sequence[tuple[Variant, int]], sizes: np.ndarray) -> list[np.ndarray]:
+    """What a step of one size of each variant, (variant, size), does to the errors: (N ny, lanes) of every record."""
+    changes = []
+    for i in range(len(predictor.records)):
+        eta = np.repeat(point.eta[i][None], len(lanes) + 1, axis=0)
+        for c, (v, s) in enumerate(lanes, start=1):
+            for j, value in v.shapes:
+                eta[c, j] = value
+            eta[c, s] += sizes[s] if np.isnan(v.finite) else v.finite
+        e = _sorted_errors(predictor, i, point, eta)
+        changes.append((e[1:] - e[:1]).reshape(len(lanes), -1).T)
+    return changes
 
 
 def _projected_columns(fit: Fit, changes: Sequence[np.ndarray], own: slice, weights: np.ndarray, phase: bool) -> np.ndarray:
@@ -289,34 +292,36 @@ def _blocks(predictor: Predictor, i: int) -> np.ndarray:
 
 
 def small_sizes(predictor: Predictor, fit: Fit) -> np.ndarray:
-    """For every size of every effect (ne) a step that changes the whitened errors by about `WANTED`; 0 where nothing changes."""
-    plant, point = predictor.plant, fit.point
-    slots = [i for i, slot in enumerate(plant.slots) if not slot.parameter.shape]
-    sizes = np.zeros(len(plant.slots))
-    sizes[slots] = 1e-5
-    open_slots = list(slots)
+    """For every size of every effect (ne) a step that changes the whitened errors by about `WANTED`, whatever its unit.
+
+    Where nothing changes it stays as it began: of an irregular effect as a small share of the least size that is tried.
+    """
+    plant, at = predictor.plant, fit.point.eta.copy()
+    fitted, speeds = {t.key for t in fit.unknowns.terms}, _speeds(predictor, fit.point)
+    sizes, unknown = np.zeros(len(plant.slots)), []
+    for i, slot in enumerate(plant.slots):
+        q, effect = slot.parameter, slot.effect
+        if not q.shape:
+            tried = [g * _unit(plant, predictor, effect.grid_unit, slot.place) for g in effect.grid]
+            sizes[i] = LEAST if effect.regular else LEAST * min(tried)
+            unknown.append(i)
+        elif q.grid_unit is GridUnit.SPEED and q.grid and slot.key not in fitted:
+            at[:, i] = _middle(q, speeds[slot.place])
     for i in range(len(predictor.records)):
-        for _ in range(3):
-            if not open_slots:
+        for _ in range(TRIALS):
+            if not unknown:
                 break
-            eta = np.repeat(point.eta[i][None], len(open_slots) + 1, axis=0)
-            for c, s in enumerate(open_slots):
-                eta[c + 1, s] += min(sizes[s], 0.5 * plant.slots[s].parameter.high)
-            e = _sorted_errors(predictor, i, point, eta)
-            change = np.sqrt(((e[1:] - e[:1]) ** 2).sum(axis=(1, 2)))
+            eta = np.repeat(at[i][None], len(unknown) + 1, axis=0)
+            for c, s in enumerate(unknown, start=1):
+                eta[c, s] += min(sizes[s], 0.5 * plant.slots[s].parameter.high)
+            e = _sorted_errors(predictor, i, fit.point, eta)
             again = []
-            for s, norm in zip(open_slots, change, strict=True):
-                if not norm > 1e-7:
-                    again.append(s)
-                    continue
-                ratio = WANTED / norm
-                sizes[s] *= ratio
-                if not 1e-3 < ratio < 1e3:
-                    again.append(s)
-            open_slots = again
-            for s in open_slots:
-                if not plant.slots[s].effect.regular:
-                    open_slots = [q for q in open_slots if q != s]
+            for s, norm in zip(unknown, np.sqrt(((e[1:] - e[:1]) ** 2).sum(axis=(1, 2))), strict=True):
+                ratio = WANTED / norm if norm > ROUNDED else FARTHER
+                if norm > ROUNDED or plant.slots[s].effect.regular:
+                    sizes[s] *= ratio
+                    again += [s] if not 1e-3 < ratio < 1e3 else []
+            unknown = again
     return sizes
 
 

@@ -24,6 +24,7 @@ OF_SIZES = {
     GridUnit.NOISE: "sensor",
 }  # fmt: skip
 OF_SHAPES = (GridUnit.ONE, GridUnit.SAMPLE, GridUnit.RECORD, GridUnit.CYCLES)
+OF_TURNING = (*OF_SHAPES, GridUnit.SPEED)
 
 
 def check_own(own: Sequence[Effect], ports: Sequence[Port], plant: str) -> None:
@@ -61,8 +62,8 @@ def _misfits(effect: Effect, port: Port) -> Iterator[tuple[str, str]]:
         own = [unit.name for unit, of in OF_SIZES.items() if of in (None, family)]
         yield f"its sizes cannot be tried in {effect.grid_unit.name}", f"grid_unit is one of {', '.join(own)}"
     for p in effect.parameters:
-        if p.grid_unit not in OF_SHAPES:
-            yield f"{p.name} cannot be tried in {p.grid_unit.name}", f"one of {', '.join(unit.name for unit in OF_SHAPES)}"
+        if p.grid_unit not in (own := OF_TURNING if turns else OF_SHAPES):
+            yield f"{p.name} cannot be tried in {p.grid_unit.name}", f"one of {', '.join(unit.name for unit in own)}"
         if p.shape and effect.phase and not (turns or (p.unit != PER_TURN and hasattr(port, "tension"))):
             yield f"nothing has an order or a frequency at {port.place}", "a phase with a shape is of a shaft, a reel or a span"
     if effect.state and not port.states:

@@ -39,6 +39,7 @@ class GridUnit(Enum):
     SAMPLE = "the sample time"
     NOISE = "the standard deviation of the channel's noise"
     RECORD = "the length of the record"
+    SPEED = "the largest speed of what turns or slides"
     CYCLES = "1: they are the shortest and the longest period, between which all that the record tells apart are tried"
 
 

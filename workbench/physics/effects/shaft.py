@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, Port, jump_time, smooth_step
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Named, Port, jump_time, smooth_step
 from workbench.records import field, record
 
 
@@ -55,7 +55,9 @@ def _friction_jump(e, shaft):
 
 def _width() -> EffectParameter:
     """Each law of friction has a width of its own: a shared one would tie rival explanations together."""
-    return EffectParameter("width", "rad/s", low=1e-6, high=1e6, default=1.0, shape=True, grid=(0.1, 0.3, 1.0, 3.0))
+    return EffectParameter(
+        "width", "rad/s", low=1e-6, high=1e6, default=1.0, shape=True, grid=(0.001, 0.003, 0.01, 0.03), grid_unit=GridUnit.SPEED
+    )
 
 
 COULOMB = Effect(
@@ -73,7 +75,16 @@ STRIBECK = Effect(
     "shaft",
     (
         EffectParameter("level", "N m", low=0.0),
-        EffectParameter("speed", "rad/s", low=1e-6, high=1e6, default=10.0, shape=True, grid=(2.0, 5.0, 10.0, 20.0, 50.0)),
+        EffectParameter(
+            "speed",
+            "rad/s",
+            low=1e-6,
+            high=1e6,
+            default=10.0,
+            shape=True,
+            grid=(0.01, 0.03, 0.1, 0.3, 1.0),
+            grid_unit=GridUnit.SPEED,
+        ),
         _width(),
     ),
     "The bearing at {place} sticks at low speed: dry friction that is largest near standstill and fades at speed.",
@@ -235,7 +246,7 @@ class Slide(Shaft):
             low=scale * parameter.low,
             high=scale * parameter.high,
             default=scale * parameter.default,
-            grid=tuple(scale * value for value in parameter.grid),
+            grid=tuple((scale if parameter.grid_unit is GridUnit.ONE else 1.0) * value for value in parameter.grid),
         )
 
     def turned(self, angle):
