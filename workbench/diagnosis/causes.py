@@ -92,7 +92,7 @@ def doubted(
         plant = found.base.predictor.plant
         for s in steps:
             argument = plant.argument(effect_and_place(s.key)[1])
-            doubt = doubt_about(s, bool(beyond), bool(objections), harm[s.key], found.left, argument)
+            doubt = doubt_about(s, bool(beyond), bool(objections), harm[s.key], found.left, found.without_size, argument)
             against[s.key] = doubt or against[s.key]
     return finding, doubts_of(steps, against)
 
@@ -114,11 +114,19 @@ def doubts_of(steps: Sequence[Step], against: Mapping[str, str]) -> dict[str, st
     return doubts
 
 
-def doubt_about(step: Step, beyond: bool, worse_than_given: bool, harm: str, left: Sequence[Left], argument: str = "") -> str:
+def doubt_about(
+    step: Step,
+    beyond: bool,
+    worse_than_given: bool,
+    harm: str,
+    left: Sequence[Left],
+    without_size: Mapping[str, float],
+    argument: str = "",
+) -> str:
     """What speaks against a cause of an incomplete answer, empty where nothing does.
 
     beyond: parameters left their tolerance. left: what is left without a name; over the `argument` of the cause's own law it is
-    that law in another form.
+    that law in another form. without_size: what effects that show beside the causes seem to explain, though no size of them does.
     """
     if step.stable < LEFT_OVER:
         return "its size differs between the records"
@@ -133,6 +141,10 @@ def doubt_about(step: Step, beyond: bool, worse_than_given: bool, harm: str, lef
         return f"what is left without a name is {100 * strongest / step.gain:.0f} % of what it explains"
     if form > LAWS * step.gain:
         return f"its law has another form: what is left over {argument} is {100 * form / step.gain:.0f} % of what it explains"
+    shown = max(without_size, key=lambda key: without_size[key], default="")
+    if shown and without_size[shown] > BESIDE * step.gain:
+        share = 100 * without_size[shown] / step.gain
+        return f"{shown} shows beside it, though not with one size: {share:.0f} % of what it explains"
     return ""
 
 

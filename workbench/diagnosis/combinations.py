@@ -43,7 +43,7 @@ def _as_one(model: Model, one: Step, other: Step, lesser: Lesser) -> Iterable[St
         begun = [refits(rest, [score], sizes)[0][0]]
         if special.sound and special.keys[-1] == one.key:
             begun.append(from_special(special, rest, score, sizes))
-        single = settled(min(begun, key=lambda m: m.bic), sizes, model.predictor.noise)
+        single = settled(min(begun, key=lambda m: m.bic), sizes, model)
         gap = single.bic - model.bic
         if single.sound and gap < TIE and left_out(rest, single).holds:
             yield Step(
@@ -67,13 +67,13 @@ def divided(step: Step, lesser: Lesser) -> dict[str, float]:
         return {}
     for special in cases:
         for begun, _ in _extended(less, screen_effects(less, [special], sizes), sizes, 1):
-            plain = settled(begun, sizes, model.predictor.noise)
+            plain = settled(begun, sizes, model)
             if not plain.sound or plain.bic < model.bic + TIE:  # the special case ties by itself
                 continue
             others = [k for k in plant.effect_keys if k not in plain.keys and not is_case_of(plant, special, k)]
             shown = [s for s in screen_effects(plain, others, sizes) if s.p_family < ALPHA]
             for trial, key in _extended(plain, shortlist(shown, most=3) if shown else [], sizes, 2):
-                both = settled(trial, sizes, model.predictor.noise)
+                both = settled(trial, sizes, model)
                 gap = both.bic - model.bic
                 if both.sound and gap < TIE and left_out(less, both).holds:
                     found[_together(special, key)] = gap

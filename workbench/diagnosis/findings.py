@@ -58,6 +58,12 @@ class Found:
         return self.steps[-1].after if self.steps else self.runs or self.base
 
     @property
+    def without_size(self) -> dict[str, float]:
+        """What effects seem to explain beside the causes, though no size of them does in all records, by key."""
+        local = {self.local.key: self.local.gain} if self.local else {}
+        return local | ({self.unresolved.key: self.unresolved.statistic} if self.unresolved else {})
+
+    @property
     def finding(self) -> Finding:
         found = _finding(self.steps, self.left, self.model)
         told = LAWS * sum(s.gain for s in self.steps)

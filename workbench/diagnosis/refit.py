@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from workbench.diagnosis.fit import Fit, Term, Unknowns, _evaluate, gauss_newton, sharpened
-from workbench.diagnosis.predictor import Noise, Predictor
+from workbench.diagnosis.predictor import Predictor
 from workbench.diagnosis.profile import dated
 from workbench.diagnosis.screen import Score, Signature, dated_variants, signatures
 from workbench.diagnosis.tuning import tuned
@@ -277,15 +277,12 @@ def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:
     return Model(predictor, gauss_newton(predictor, at.unknowns, at.z, sizes, rounds=3, chords=4, enough=0.5))
 
 
-def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Model:
+def settled(model: Model, sizes: np.ndarray, beside: Model | None = None) -> Model:
     """The model with gains and noise levels of its own, fitted to convergence: as long as that gains more than CONVERGED.
 
-    noise: other levels to begin with, where they are better than the model's own.
+    beside: another model of these records, which is begun from too; see `begun_beside`.
     """
-    if noise is not None:
-        predictor = model.predictor.regained(model.fit.point).with_noise(noise)
-        other = Model(predictor, gauss_newton(predictor, model.fit.unknowns, model.fit.z, sizes, enough=0.2))
-        model = min((model, other), key=lambda m: m.deviance)
+    model = begun_beside(model, beside, sizes) if beside else model
     z = dated(model.predictor, model.fit)
     if not np.array_equal(z, model.fit.z):
         moved = Model(model.predictor, gauss_newton(model.predictor, model.fit.unknowns, z, sizes, enough=0.2))
@@ -301,6 +298,20 @@ def settled(model: Model, sizes: np.ndarray, noise: Noise | None = None) -> Mode
         if gained < CONVERGED and not finer:
             break
     return model
+
+
+def begun_beside(model: Model, other: Model, sizes: np.ndarray) -> Model:
+    """The best of the model as it is, fitted again at the noise levels of another one, and there from its parameters and starts.
+
+    What looks alike must not differ by the way that a fit took: at levels that were tuned while a law did not fit yet, it may
+    stay where it is.
+    """
+    own, unknowns, tried = model.fit.z, model.fit.unknowns, [model]
+    head = unknowns.size - unknowns.split[2]
+    for z in (own, np.concatenate([other.fit.z[:head], own[head:]])):
+        predictor = model.predictor.regained(unknowns.point(z)).with_noise(other.predictor.noise)
+        tried.append(Model(predictor, gauss_newton(predictor, unknowns, z, sizes, enough=0.2)))
+    return min(tried, key=lambda m: m.deviance)
 
 
 def with_coloured_noise(model: Model, sizes: np.ndarray) -> Model:

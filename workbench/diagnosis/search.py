@@ -29,8 +29,7 @@ from workbench.diagnosis.policy import (
     TIE,
     WORTH,
 )
-from workbench.diagnosis.predictor import Noise
-from workbench.diagnosis.refit import LEFT, Model, from_special, is_late, refits, settled, shortlist, without
+from workbench.diagnosis.refit import LEFT, Model, begun_beside, from_special, is_late, refits, settled, shortlist, without
 from workbench.diagnosis.rivals import Rival, best_first, closest_rival, gap_between, is_case_of, rivals_of
 from workbench.diagnosis.rounding import rounded
 from workbench.diagnosis.screen import Score, Signature, scores, signatures, similarity, small_sizes, variants
@@ -179,35 +178,8 @@ def _step(
     if not short:
         return None
     progress(f"refitting {', '.join(s.key for s in short)}")
-    trials = refits(model, short, sizes)
-    slack = max(3.0 * TIE, NEARLY * (model.bic - trials[0][0].bic))
-    near = {s.key for trial, s in trials[:FINALISTS] if trial.bic < trials[0][0].bic + slack}
-    near |= _alike(model, [s for _, s in trials], sizes)
-    if model.farthest > LEFT:  # first fits stay where parameters have made up for a sensor that is late: its profile does not
-        near |= {s.key for s in short if is_late(model.predictor, s.key)}
-    others: dict[str, tuple[float, ...]] = {}
-
-    def final(trial: Model, key: str, noise: Noise | None = None) -> Model:
-        found = timed(model, settled(trial, sizes, noise), key, sizes)
-        others[key] = found.others
-        return found.model
-
-    first = final(trials[0][0], trials[0][1].key)
-    # rivals begin where the first one ended: what looks alike must not differ by the way that its noise levels went
-    finals = [(first, trials[0][1])]
-    finals += [(final(t, s.key, first.predictor.noise), s) for t, s in trials[1:] if s.key in near]
-    for special, s in list(finals):  # a law that fits worse than its special case is not fitted yet
-        for general in (g for g in short if is_case_of(model.predictor.plant, s.key, g.key)):
-            begun = from_special(special, model, general, sizes)
-            if begun.bic < special.bic + TIE:
-                finals.append((final(begun, general.key), general))
-                near.add(general.key)
-    finals = best_first(finals)
-    best = finals[0][0]
-    if best is not first:  # nor by that of the one which has come out best
-        finals = best_first(
-            [*finals, *((final(m, s.key, best.predictor.noise), s) for m, s in finals[1:] if m.bic < best.bic + SWAP)]
-        )
+    race = _Race(model, short, sizes)
+    trials, near, finals = race.trials, race.near, race.finals()
     worthy = [(m, s) for m, s in finals if _worthy(model, m, s.key, steps, most)]
     behind = (pair for pair in trials[1:] if pair[1].key not in near)
 
@@ -218,7 +190,7 @@ def _step(
     while not any(holds(m, s) for m, s in worthy) and (pair := next(behind, None)):
         # what came first holds in some records only: another cause may hold in all
         near.add(pair[1].key)
-        tried = final(pair[0], pair[1].key, first.predictor.noise)
+        tried = race.final(*pair)
         worthy += [(tried, pair[1])] if _worthy(model, tried, pair[1].key, steps, most) else []
     held = [(m, s) for m, s in worthy if holds(m, s)]
     if not worthy and np.isfinite(most):
@@ -236,7 +208,7 @@ def _step(
     best, score = held[0]
     tying = rivals_of(model, best, score.key, worthy)
     rivals = {s.key: gap_between(best, score.key, m, s.key) for m, s in tying}
-    rivals |= {s.key: m.bic - trials[0][0].bic for m, s in trials if s.key not in near and s.key != score.key}
+    rivals |= {s.key: m.bic - race.first.bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
         score.key,
         model,
@@ -246,8 +218,60 @@ def _step(
         model.bic - best.bic,
         stability(best, score.key),
         closest_rival(model, best, score.key, tying),
-        others[score.key],
+        race.others[score.key],
     )
+
+
+class _Race:
+    """A model extended by one of several effects each: first fits, those that may be the best, and these fitted to convergence.
+
+    trials: first fits, best first. near: keys of those with a chance. first: the best of the first fits, converged. others: times
+    of a late effect that explain the records as well, by key.
+    """
+
+    def __init__(self, model: Model, short: Sequence[Score], sizes: np.ndarray):
+        self.model, self.short, self.sizes = model, short, sizes
+        self.others: dict[str, tuple[float, ...]] = {}
+        self.trials = refits(model, short, sizes)
+        self.first = self.final(*self.trials[0])
+        # what looks alike must not differ by the way that its noise levels went: all begin where the first one ended, too
+        self.trials[1:] = [(begun_beside(m, self.first, sizes), s) for m, s in self.trials[1:]]
+        self.near = self._near()
+
+    def _near(self) -> set[str]:
+        first, best = self.trials[0]
+        slack = max(3.0 * TIE, NEARLY * (self.model.bic - first.bic))
+        ranked = sorted(self.trials, key=lambda pair: pair[0].bic)
+        near = {best.key} | {s.key for m, s in ranked[:FINALISTS] if m.bic < first.bic + slack}
+        near |= _alike(self.model, [s for _, s in self.trials], self.sizes)
+        if self.model.farthest > LEFT:
+            # first fits stay where parameters have made up for a sensor that is late: its profile does not
+            near |= {s.key for s in self.short if is_late(self.model.predictor, s.key)}
+        return near
+
+    def final(self, trial: Model, score: Score, beside: Model | None = None) -> Model:
+        """A first fit, converged; beside: see `settled`."""
+        found = timed(self.model, settled(trial, self.sizes, beside), score.key, self.sizes)
+        self.others[score.key] = found.others
+        return found.model
+
+    def finals(self) -> list[tuple[Model, Score]]:
+        """What has a chance, converged, best first."""
+        plant, first = self.model.predictor.plant, self.first
+        finals = [(first, self.trials[0][1])]
+        finals += [(self.final(t, s), s) for t, s in self.trials[1:] if s.key in self.near]
+        for special, s in list(finals):  # a law that fits worse than its special case is not fitted yet
+            for general in (g for g in self.short if is_case_of(plant, s.key, g.key)):
+                begun = from_special(special, self.model, general, self.sizes)
+                if begun.bic < special.bic + TIE:
+                    finals.append((self.final(begun, general), general))
+                    self.near.add(general.key)
+        finals = best_first(finals)
+        best = finals[0][0]
+        if best is not first:  # nor by where the first one ended if another has come out best
+            near = [(m, s) for m, s in finals[1:] if m.bic < best.bic + SWAP]
+            finals = best_first([*finals, *((self.final(m, s, best), s) for m, s in near)])
+        return finals
 
 
 def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
@@ -402,7 +426,7 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         trials = refits(less, found, sizes) if found else []
         # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike
         near = [(m, s) for m, s in trials if m.bic < trials[0][0].bic + SWAP and m.bic < 0.5 * (less.bic + model.bic)]
-        tried = [(timed(less, settled(m, sizes, model.predictor.noise), s.key, sizes), s) for m, s in near]
+        tried = [(timed(less, settled(m, sizes, model), s.key, sizes), s) for m, s in near]
         times = {s.key: t.others for t, s in tried} | {step.key: step.others}
         finals = [(t.model, s) for t, s in tried if _worthy(less, t.model, s.key, others, most)]
         better = [(m, s) for m, s in finals if m.bic < model.bic and left_out(less, m).holds]
