@@ -4,7 +4,7 @@ recalibrate -> screen -> refit -> confirm -> extend, again while something is fo
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,8 +27,9 @@ from workbench.diagnosis.causes import (
 )
 from workbench.diagnosis.check.records import check
 from workbench.diagnosis.combinations import divided
+from workbench.diagnosis.equations import Law
 from workbench.diagnosis.experiments import Template
-from workbench.diagnosis.findings import forgiven, judged, searched, tells, with_free_runs, with_rounding
+from workbench.diagnosis.findings import Found, forgiven, judged, searched, tells, with_free_runs, with_rounding
 from workbench.diagnosis.fit import gauss_newton
 from workbench.diagnosis.free_run import filtered
 from workbench.diagnosis.policy import ALPHA, HELPFUL, LONG_RUN
@@ -73,10 +74,8 @@ def diagnose(
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or forgiven(judge, found)):
         progress("again, without torques that come and go")
-        bare = _as_coloured(_recalibrated(plant, dataset, False, threads))
-        again = judged(searched(bare, 1.0 - HELPFUL, progress), judge, longer=True) if bare.sound else None
-        if again and again.steps and not tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
-            found = replace(again, local=again.local or found.local)
+        if again := _without_torques(plant, dataset, found, judge, threads, progress):
+            found = again
             notes.append(
                 "unlogged torques that come and go were not allowed as noise: they would have taken in what is named here"
             )
@@ -87,12 +86,32 @@ def diagnose(
     laws = {s.key: law for s in found.steps if (law := law_instead(s, found.model))}  # free runs have gains in another unit
     found = with_free_runs(found, judge)
     progress("gains on held-out records")
-    base, model, steps, tested = found.base, found.model, found.steps, found.tested
-    if len(base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
+    if len(found.base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
         given = as_given(plant, dataset, drift=False, threads=threads)
-    if len(base.predictor.noise.coloured):
+    if len(found.base.predictor.noise.coloured):
         coloured = with_coloured_noise(given, np.zeros(len(plant.slots)))
         given = coloured if coloured.sound else given
+    made = _answered(plant, found, given, judge, laws, together and len(found.steps) > 1)
+    return replace(made, next_experiment=following, notes=(*notes, *made.notes), seconds=time.perf_counter() - began)
+
+
+def _without_torques(
+    plant: Plant, dataset: Dataset, found: Found, judge: Judge, threads: int, progress: Callable[[str], None]
+) -> Found | None:
+    """What is found where torques that nobody logged are no noise, if it names what helps a second ahead."""
+    bare = _as_coloured(_recalibrated(plant, dataset, False, threads))
+    again = judged(searched(bare, 1.0 - HELPFUL, progress), judge, longer=True) if bare.sound else None
+    if again and again.steps and not tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
+        return replace(again, local=again.local or found.local)
+    return None
+
+
+def _answered(plant: Plant, found: Found, given: Model, judge: Judge, laws: Mapping[str, Law], together: bool) -> Diagnosis:
+    """What was found, as an answer: causes with their doubts, sizes and limits; given: the plant as it came.
+
+    laws, together: see `doubted`.
+    """
+    base, model, steps, tested = found.base, found.model, found.steps, found.tested
     objections = judge.objections("extended" if steps else "recalibrated", given, model)
     kept = bool(objections) and not steps  # what names nothing must not bend parameters either
     rounds = tuple(rounded_cause(plant, r) for r in rounded(filtered(model).predictor))
@@ -100,7 +119,6 @@ def diagnose(
     beyond = beyond_tolerance(base, model)
     harm = {s.key: harm_of(judge, s) for s in steps}
     model = model.sharpened()
-    together = together and len(steps) > 1
     finding, doubts = doubted(found, with_rounding(found, [c.place for c in rounds]), laws, harm, beyond, objections, together)
     causes = tuple(replace(cause_of(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts[s.key]) for s in steps)
     return Diagnosis(
@@ -111,13 +129,12 @@ def diagnose(
         untestable=untestable_effects(base, tested),
         limits=(*limits_of(plant, tested), *rounding_limits(base)),
         remainder=tuple(remainder_said(x, whole) for x in found.left[:5] if x.p_family < ALPHA),
-        next_experiment=following,
+        next_experiment=None,
         effects={**effects_of(model), **{c.key: {name: e.value for name, e in c.parameters.items()} for c in rounds}},
         parameters={q.name: q.value if kept else float(v) for q, v in zip(plant.parameters, model.fit.point.p, strict=True)},
         tested=tuple(s.variant.key for s in tested),
         similarity=similarity(tested),
         notes=(
-            *notes,
             *([str(found.local)] if found.local else []),
             *([str(found.unresolved)] if found.unresolved and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) else []),
             *map(str, found.refused),
@@ -126,7 +143,6 @@ def diagnose(
         ),
         signs=beyond,
         objections=() if kept else objections,
-        seconds=time.perf_counter() - began,
     )
 
 

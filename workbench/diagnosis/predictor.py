@@ -10,7 +10,7 @@ torque that comes and goes is no missing physics. So it does with the noise of t
 whitened, W_k e_k with W S W' = I.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -19,6 +19,7 @@ import numpy as np
 
 from workbench.data import Dataset, Experiment, bad_stamps
 from workbench.diagnosis.kalman import Linearization, Pass, gains
+from workbench.diagnosis.starts import entry_states, pushes_of, spread_of, start_of
 from workbench.errors import InputError, check_known
 from workbench.noise import measurement_noise
 from workbench.physics import stepper
@@ -34,7 +35,6 @@ VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in
 LOOK = 600  # samples of a record on which that is looked at
 RAISED, RAISES = 4.0, 6  # factor of pushes where a filter loses a record, and how often
 RAN_AWAY = 1e9  # error of a run that left every range
-NEAR = 0.05  # of the size that a state goes through: with less of it, it rests near 0
 STEP = 1e-6  # of a state's scale, for differences of the flow
 
 
@@ -474,7 +474,7 @@ def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: in
     records = tuple(_prepared(plant, e) for e in dataset)
     eta = np.repeat(plant.effect_vector()[None], len(records), axis=0)
     point = Point(plant.nominal, eta, np.array([r.start for r in records]))
-    entries, coloured = _entries(plant)
+    entries, coloured = entry_states(plant)
     noise = _first_noise(plant, dataset, entries, coloured if drift else 0)
     made = Predictor(plant, records, entries, noise, noise, plant.substeps, point, threads=threads)
     return _first_gains(made)
@@ -517,7 +517,7 @@ def _lost(made: Predictor) -> bool:
     at = made.point
     for i, r in enumerate(made.records):
         e = made.errors(i, at.p[None], at.eta[i][None], at.start[i][None], white=False)[0]
-        if not np.all(np.sqrt(np.mean(e**2, axis=0)) <= _spread(r.y) + made.expected.measurement):
+        if not np.all(np.sqrt(np.mean(e**2, axis=0)) <= spread_of(r.y) + made.expected.measurement):
             return True
     return False
 
@@ -538,97 +538,6 @@ def _prepared(plant: Plant, e: Experiment) -> Record:
     return Record(e.name, u, y, start, scale)
 
 
-def start_of(plant: Plant, y: np.ndarray, u: np.ndarray, k: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """States at sample k of outputs y (N, ny) and inputs u (N, nu), and how far off they may be.
-
-    The plant's own start, corrected by what was measured then. A state that rests near 0 may be off by what moves an output as
-    far as the record goes.
-    """
-    x, _ = plant.equilibrium()
-    seen = np.flatnonzero(np.isfinite(y[k]))
-    scale, natural = 0.3 * np.abs(x), _natural(plant, x, u[k], _spread(y)[seen], _spread(u), seen)
-    scale = np.where(scale > NEAR * natural, scale, natural)
-    noise = np.array([plant.noise.get(name, 0.0) for name in plant.output_names])
-    for _ in range(3):
-        C = plant.linearize(x, u[k])[2][seen]
-        z = np.array(plant.output(x, plant.nominal, u[k]), dtype=float)[seen]
-        R = np.diag((1e-3 * np.abs(C) @ scale) ** 2 + noise[seen] ** 2)
-        P = np.diag(scale**2)
-        x = x + P @ C.T @ np.linalg.solve(C @ P @ C.T + R, y[k, seen] - z)
-    return x, scale
-
-
-def _spread(signals: np.ndarray) -> np.ndarray:
-    """From the lowest to the highest value of each signal, (n) of (N, n); of one that stands still its size."""
-    own = [c[np.isfinite(c)] for c in signals.T]
-    return np.array([(np.ptp(c) or np.abs(c[0])) if len(c) else 0.0 for c in own])
-
-
-def _natural(plant: Plant, x: np.ndarray, u: np.ndarray, outputs: np.ndarray, inputs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """The change (nx) of each state that moves a measured output by its spread within the fastest time constant.
-
-    Of a state that no output shows, a gap that is open, what the spreads of the inputs make of it within that time.
-    """
-    A, B, C = plant.linearize(x, u)[:3]
-    within, C = _fastest(A), C[seen]
-    shown = np.abs(np.array([C @ M for M in _powers(within * A)])).max(axis=0)
-    with np.errstate(divide="ignore"):
-        found = (np.maximum(outputs, 1e-300)[:, None] / shown).min(axis=0, initial=np.inf)
-    moved = within * _first(np.abs(M @ B) @ inputs for M in _powers(within * A))
-    return np.where(np.isfinite(found), found, np.where(moved > 0.0, moved, 1.0))
-
-
-def _powers(A: np.ndarray) -> list[np.ndarray]:
-    """I, A, .. A^(n - 1)."""
-    return [np.linalg.matrix_power(A, k) for k in range(len(A))]
-
-
-def _first(values: Iterable[np.ndarray]) -> np.ndarray:
-    """Of each entry the first that is not 0."""
-    found = 0.0
-    for v in values:
-        found = np.where(found > 0.0, found, v)
-    return np.asarray(found)
-
-
-def _fastest(A: np.ndarray) -> float:
-    """The fastest time constant [s] of x' = A x; 1 s where all is integrals, or a root at 0 has no slope."""
-    rate = float(np.abs(np.linalg.eigvals(A)).max()) if np.isfinite(A).all() else 0.0
-    return 1.0 / rate if rate > 0.0 else 1.0
-
-
-def _entries(plant: Plant) -> tuple[tuple[str, ...], int]:
-    """Where what nobody logged enters: inputs and states, those first that carry a coloured part, and how many these are.
-
-    What nobody logged enters where inputs do: a valve that leaks, a fan that the mains disturb. Inputs that move several states
-    at once, for the force on a cart that swings a pendulum is one, not two; states that turn or slide, and all others that an
-    input moves directly; then, white only, the tensions of spans. What the plant itself states goes before all that. An equation
-    that takes states from sample to sample has no rates, and nothing coloured.
-    """
-    turning = [port.speed for port in plant.ports if hasattr(port, "speed")]
-    spans = [port.tension for port in plant.ports if hasattr(port, "tension")]
-    moved = _slopes(plant)[1] != 0.0
-    driven = [name for name, own in zip(plant.state_names, moved, strict=True) if own.any() and name not in spans]
-    apart = np.array([name not in spans for name in plant.state_names])
-    shared = [name for name, own in zip(plant.input_names, moved.T, strict=True) if own[apart].sum() > 1 and not plant.discrete]
-    coloured = [] if plant.discrete else [*shared, *turning, *driven]
-    named = dict.fromkeys(plant.process or [*shared, *turning, *driven, *spans])
-    first = [name for name in named if name in coloured]
-    return (*first, *(name for name in named if name not in first)), len(first)
-
-
-def _pushed(plant: Plant, inputs: np.ndarray) -> np.ndarray:
-    """Rates of change (nx) that `inputs` give the states: directly, or through others within the fastest time constant."""
-    A, B = _slopes(plant)
-    return _first(np.abs(M @ B) @ inputs for M in _powers(_fastest(A) * A))
-
-
-def _slopes(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-    """A (nx, nx) and B (nx, nu) where the plant rests; 0 where a root has no slope there."""
-    A, B = (np.nan_to_num(M, nan=0.0, posinf=0.0, neginf=0.0) for M in plant.linearize(*plant.equilibrium())[:2])
-    return A, B
-
-
 def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str], coloured: int) -> Noise:
     """The plant's stated noise, or an estimate from the records; pushes as stated, or as a share of what the inputs do."""
     measured = []
@@ -641,7 +550,7 @@ def _first_noise(plant: Plant, dataset: Dataset, entries: Sequence[str], coloure
     spread = np.array([max(float(np.std(e[n])) if n in e.names else 0.0 for e in dataset) for n in plant.input_names])
     stated = np.array([plant.disturbance.get(n, 0.0) for n in plant.input_names])
     inputs = np.where(stated > 0.0, stated, 0.01 * spread + 1e-9)
-    push = dict(zip(plant.input_names, inputs, strict=True)) | dict(zip(plant.state_names, _pushed(plant, inputs), strict=True))
+    push = dict(zip(plant.input_names, inputs, strict=True)) | dict(zip(plant.state_names, pushes_of(plant, inputs), strict=True))
     process = [plant.process.get(name, max(push[name], 1e-12)) for name in entries]
     white = np.array(process)
     return Noise(np.array(measured), white, 0.1 * white[:coloured])

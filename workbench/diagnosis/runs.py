@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.data import Experiment
-from workbench.diagnosis.predictor import player, start_of
+from workbench.diagnosis.predictor import player
+from workbench.diagnosis.starts import start_of
 from workbench.errors import InputError
 from workbench.physics import stepper
 from workbench.physics.plant import Plant

@@ -33,68 +33,90 @@ def tuned(predictor: Predictor, *, share: float = 1.0, again: bool = False) -> N
     """
     if predictor.simulated:
         return predictor.noise
-    pieces = [_piece(predictor, i) for i in range(int(np.ceil(share * len(predictor.records))))]
-    nw, nd, nc = (len(own) for own in (predictor.noise.process, predictor.noise.drift, predictor.noise.coloured))
-    dt, expected = predictor.plant.dt, _levels(predictor.expected)
-    is_push = np.append(np.arange(len(expected)) < nw + nd + nc, [True, True])  # or the time constant of one
-    width = np.append(np.where(is_push[:-2], PUSHING, READING), [LASTING, LASTING])
-    middle = np.append(np.full(len(expected), np.log(1.0 + FLOOR)), _times(predictor.expected))
-    lowest = np.log(FLOOR + np.where(is_push[:-2], 0.0, LEAST))
-    times = [(shortest, max(longest, shortest)) for shortest, longest in ((SHORTEST * dt, MEMORY), (QUICKEST * dt, FADED))]
-    bounds = np.array([*((low, LARGEST) for low in lowest), *np.log(times)])
-    unit = 1.0 / np.sqrt(1.0 / width**2 + sum(len(e) for _, _, e in pieces))  # a well determined level has this deviation
+    tuning = _Tuning(predictor, share)
+    return tuning.noise(min(map(tuning.searched, tuning.starts(again)), key=lambda found: found[0])[1])
 
-    def noise(z: np.ndarray) -> Noise:
-        s = expected * np.sqrt(np.maximum(np.exp(z[:-2]) - FLOOR, 0.0))
-        process, drift, coloured, measurement = np.split(s, np.cumsum([nw, nd, nc]))
+
+class _Tuning:
+    """The cost of noise levels z along a predictor's trajectory, and searches for its minimum; see the module."""
+
+    def __init__(self, predictor: Predictor, share: float):
+        self.predictor, self.dt = predictor, predictor.plant.dt
+        self.pieces = [_piece(predictor, i) for i in range(int(np.ceil(share * len(predictor.records))))]
+        self.counts = nw, nd, nc = tuple(
+            len(own) for own in (predictor.noise.process, predictor.noise.drift, predictor.noise.coloured)
+        )
+        self.expected = _levels(predictor.expected)
+        self.is_push = np.append(np.arange(len(self.expected)) < nw + nd + nc, [True, True])  # or the time constant of one
+        levels = self.is_push[:-2]
+        self.width = np.append(np.where(levels, PUSHING, READING), [LASTING, LASTING])
+        self.middle = np.append(np.full(len(levels), np.log(1.0 + FLOOR)), _times(predictor.expected))
+        lowest = np.log(FLOOR + np.where(levels, 0.0, LEAST))
+        spans = ((SHORTEST * self.dt, MEMORY), (QUICKEST * self.dt, FADED))
+        times = [(shortest, max(longest, shortest)) for shortest, longest in spans]
+        self.bounds = np.array([*((low, LARGEST) for low in lowest), *np.log(times)])
+        # a well determined level has this deviation
+        self.unit = 1.0 / np.sqrt(1.0 / self.width**2 + sum(len(e) for _, _, e in self.pieces))
+        self.known: dict[bytes, tuple[float, np.ndarray]] = {}  # a search begins where the last one ended
+
+    def noise(self, z: np.ndarray) -> Noise:
+        """The levels themselves."""
+        s = self.expected * np.sqrt(np.maximum(np.exp(z[:-2]) - FLOOR, 0.0))
+        process, drift, coloured, measurement = np.split(s, np.cumsum(self.counts))
         return Noise(measurement, process, drift, float(np.exp(z[-2])), coloured, float(np.exp(z[-1])))
 
-    known: dict[bytes, tuple[float, np.ndarray]] = {}  # a search begins where the last one ended
+    def starts(self, again: bool) -> list[np.ndarray]:
+        """Levels z from which searches begin."""
+        noise, (nw, nd, nc) = self.predictor.noise, self.counts
+        at = np.append(np.log((_levels(noise) / self.expected) ** 2 + FLOOR), _times(noise))
+        if again:
+            return [at]
+        # from small pushes that fade fast nothing leads to larger ones that last; and levels that a wrong trajectory has driven
+        # up may not come down again on their own
+        starts = [np.where(self.is_push, np.maximum(at, self.middle), at), self.middle]
+        if nc:  # pushes that have stood for what lasts in the readings do not give way to it: as loud as the white part
+            white, readings = slice(nw + nd + nc, len(self.expected)), slice(nw + nd, nw + nd + nc)
+            loud = self.middle.copy()
+            loud[readings] = at[white] + 2.0 * np.log(self.expected[white] / self.expected[readings])
+            starts.append(loud)
+        return starts
 
-    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-        if x.tobytes() not in known:
-            known[x.tobytes()] = computed(x * unit)
-        value, slope = known[x.tobytes()]
+    def searched(self, start: np.ndarray) -> tuple[float, np.ndarray]:
+        """Lowest cost, and the levels z where it is, by way of a start."""
+        x = np.clip(start, *self.bounds.T) / self.unit
+        for _ in range(REACHES):
+            # a step to where nothing is defined would end a line search
+            reach = REACH / self.unit
+            near = np.clip(self.bounds / self.unit[:, None], (x - reach)[:, None], (x + reach)[:, None])
+            began = self._cost(x)[0]
+            options = {"ftol": ENOUGH / max(abs(began), 1.0), "maxiter": 60}
+            found = minimize(self._cost, x, jac=True, method="L-BFGS-B", bounds=near, options=options)
+            x = found.x
+            if began - found.fun < AGAIN:
+                break
+        return self._cost(x)[0], x * self.unit
+
+    def _cost(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Cost and slopes at levels in units of their deviation."""
+        if x.tobytes() not in self.known:
+            value, slope = self._computed(x * self.unit)
+            self.known[x.tobytes()] = value, slope * self.unit
+        value, slope = self.known[x.tobytes()]
         return value, slope.copy()
 
-    def computed(z: np.ndarray) -> tuple[float, np.ndarray]:
-        levels, total, slope = noise(z), 0.0, np.zeros(len(z))
-        a = levels.decays(dt)
-        for line, gain, e in pieces:
+    def _computed(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        levels, total, slope = self.noise(z), 0.0, np.zeros(len(z))
+        a, (_, nd, nc) = levels.decays(self.dt), self.counts
+        for line, gain, e in self.pieces:
             found = likelihood(with_decays(line, a), levels.pushes, levels.measurement, gain, e, nd + nc)
             by_time = found.decay * a
             total += found.deviance
             slope += np.concatenate([found.process, found.measurement, [by_time[:nd].sum(), by_time[nd:].sum()]])
         if not np.isfinite(total) or not np.isfinite(slope).all():
             return 1e300, np.zeros(len(z))
-        off = (z - middle) / width
-        slope *= np.append(expected**2 * np.exp(z[:-2]), [dt / levels.memory, dt / levels.correlation_time])
-        return float(total + off @ off), (slope + 2.0 * off / width) * unit
-
-    def searched(start: np.ndarray) -> tuple[float, np.ndarray]:
-        """Lowest cost, and where, by way of a start."""
-        x = np.clip(start, *bounds.T) / unit
-        for _ in range(REACHES):
-            # a step to where nothing is defined would end a line search
-            near = np.clip(bounds / unit[:, None], (x - REACH / unit)[:, None], (x + REACH / unit)[:, None])
-            began = cost(x)[0]
-            options = {"ftol": ENOUGH / max(abs(began), 1.0), "maxiter": 60}
-            found = minimize(cost, x, jac=True, method="L-BFGS-B", bounds=near, options=options)
-            x = found.x
-            if began - found.fun < AGAIN:
-                break
-        return cost(x)[0], x
-
-    at = np.append(np.log((_levels(predictor.noise) / expected) ** 2 + FLOOR), _times(predictor.noise))
-    # from small pushes that fade fast nothing leads to larger ones that last; and levels that a wrong trajectory has driven up
-    # may not come down again on their own
-    starts = [at] if again else [np.where(is_push, np.maximum(at, middle), at), middle]
-    if nc and not again:  # pushes that have stood for what lasts in the readings do not give way to it: as loud as the white part
-        white, readings = slice(nw + nd + nc, len(expected)), slice(nw + nd, nw + nd + nc)
-        loud = middle.copy()
-        loud[readings] = at[white] + 2.0 * np.log(expected[white] / expected[readings])
-        starts.append(loud)
-    return noise(min(map(searched, starts), key=lambda found: found[0])[1] * unit)
+        off = (z - self.middle) / self.width
+        slope *= np.append(self.expected**2 * np.exp(z[:-2]), [self.dt / levels.memory, self.dt / levels.correlation_time])
+        return float(total + off @ off), slope + 2.0 * off / self.width
 
 
 def _levels(noise: Noise) -> np.ndarray:

@@ -185,9 +185,9 @@ def test_the_start_is_taken_from_the_first_measured_sample_where_it_can_be_and_i
 def test_process_noise_enters_where_something_slides_or_where_an_input_acts():
     assert predictor(AXIS, axis_records(9)).entries == ("v",)
     bare = replace(AXIS, ports=(), equation=lambda x, u, p, at: {"q": x.v, "v": (u.F - p.Fv * x.v) / p.M})
-    from workbench.diagnosis.predictor import _entries
+    from workbench.diagnosis.starts import entry_states
 
-    assert _entries(bare) == (("v",), 1)
+    assert entry_states(bare) == (("v",), 1)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 8])
