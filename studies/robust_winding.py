@@ -39,7 +39,8 @@ from workbench.robustness.falsify.box import tolerance_box
 from workbench.robustness.falsify.search import at_random, worst_plant
 from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
-from workbench.robustness.loop import course_of, driven, machine_with_errors
+from workbench.robustness.loop import course_of, driven
+from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Margin, margin
 from workbench.robustness.verdict import Status, Verdict
 from workbench.simulation import Scenario, simulate

@@ -25,8 +25,8 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, exact, positive_definite
 from workbench.records import field, record
-from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.semidefinite import Block, maximise, symmetric
+from workbench.robustness.uncertain import UncertainLoop
 
 TRIED = (0.11, 0.25, 0.68, 0.87)  # of a cell, where it is tried whether a loop is quadratic
 QUADRATIC = 1e-9  # by which a loop may differ from the quadratic through three of its values, relative to its size
