@@ -32,7 +32,7 @@ from workbench.robustness.falsify.search import worst_plant
 from workbench.robustness.limits import Limit, Manoeuvre, load_limits
 from workbench.robustness.margins import margin
 from workbench.robustness.sequences import Growth, load_sequence
-from workbench.sweeps import load_sweep
+from workbench.sweeps.design import load_sweep
 
 CSV = b"t [s],V1 [V],w3 [rad/s],r2 [m]\n" + b"".join(
     b"%.2f,%.3f,%d,0.0%d\n" % (0.04 * k, 0.1 * k, 90 + k, 11 + k) for k in range(12)
