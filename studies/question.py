@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from studies.sweep_page import failures
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -22,6 +21,7 @@ from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report.blocks import Block, Provenance, Report, Section, Table
 from workbench.report.page import write_report
+from workbench.report.sweep import failures
 from workbench.sweeps.design import Sweep
 from workbench.sweeps.job import Job
 from workbench.sweeps.rows import Rows, export_csv, read_rows
