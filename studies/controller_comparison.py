@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from controllers.files import load_controller, save_controller
+from controllers.pictures import POINTS, design_pictures
 from controllers.receding import count_statuses
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
-from studies.design import POINTS, design_pictures
 from studies.loops import Bench, Case, Designed, benches
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
