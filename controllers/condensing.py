@@ -12,69 +12,52 @@ import numpy as np
 from numba import njit
 
 _MATRIX, _VECTOR = "f8[:, ::1]", "f8[::1]"
+_PROGRAM = f"Tuple(({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}))"
 
 
-@njit(
-    f"Tuple(({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}))({_MATRIX}, i8, i8, i8, {_MATRIX}, {_MATRIX}, {_VECTOR}, {_MATRIX},"
-    f"{_VECTOR}, {_VECTOR}, {_VECTOR}, {_MATRIX}, {_MATRIX}, {_MATRIX}, {_MATRIX})",
-    cache=True, nogil=True, error_model="numpy",
-)  # fmt: skip
-def condense(M, nx, nu, ny, c, g, x0, r, last, xt, ut, Q, S, R, P):
-    """H (n, n), f (n), Y (N ny, n) and y_free (N ny), n = N nu.
+@njit(cache=True, nogil=True, error_model="numpy")
+def _move(M, c, i, nu, T, x, after, moved):
+    """x_{i+1} = after U + moved from x_i = T U + x."""
+    nx, width = len(x), i * nu  # of the commands that have moved x_i
+    for a in range(nx):
+        total = c[i, a]
+        for k in range(nx):
+            total += M[i, a * nx + k] * x[k]
+        moved[a] = total
+        for j in range(width):
+            after[a, j] = 0.0
+        for k in range(nx):
+            entry = M[i, a * nx + k]
+            if entry != 0.0:
+                for j in range(width):
+                    after[a, j] += entry * T[k, j]
+        for j in range(nu):
+            after[a, width + j] = M[i, nx * nx + a * nu + j]
 
-    M (N + 1, nx nx + nx nu + ny nx): A, B, C of every step, flat side by side. c (N, nx), g (N + 1, ny), x0 (nx), r (N + 1, ny),
-    last (nu): the command before; xt (nx), ut (nu): target.
-    """
-    N = len(c)
-    n = N * nu
-    b, o = nx * nx, nx * nx + nx * nu  # where B and C begin
-    H, f, Y, free = np.zeros((n, n)), np.zeros(n), np.zeros((N * ny, n)), np.empty(N * ny)
-    T, after = np.zeros((nx, n)), np.zeros((nx, n))  # x_i = T U + x
-    x, moved, QY, error = x0.copy(), np.empty(nx), np.empty((ny, n)), np.empty(ny)
-    for i in range(N):
-        width = i * nu
-        for a in range(nx):
-            total = c[i, a]
-            for k in range(nx):
-                total += M[i, a * nx + k] * x[k]
-            moved[a] = total
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_errors(H, f, Y, first, error, Q, QY, width):
+    """|Y U + error|_Q^2 of the rows from `first` on; QY: room for Q Y; width: of the commands that have moved them."""
+    ny = len(error)
+    for a in range(ny):
+        for j in range(width):
+            QY[a, j] = 0.0
+        for k in range(ny):
             for j in range(width):
-                after[a, j] = 0.0
-            for k in range(nx):
-                entry = M[i, a * nx + k]
-                if entry != 0.0:
-                    for j in range(width):
-                        after[a, j] += entry * T[k, j]
-            for j in range(nu):
-                after[a, width + j] = M[i, b + a * nu + j]
-        T, after = after, T
-        x, moved = moved, x
-        width += nu
-        for a in range(ny):
-            row = i * ny + a
-            total = g[i + 1, a]
-            for k in range(nx):
-                entry = M[i + 1, o + a * nx + k]
-                total += entry * x[k]
-                for j in range(width):
-                    Y[row, j] += entry * T[k, j]
-            free[row] = total
-            error[a] = total - r[i + 1, a]
-        if i < N - 1:
-            for a in range(ny):
-                for j in range(width):
-                    QY[a, j] = 0.0
-                for k in range(ny):
-                    for j in range(width):
-                        QY[a, j] += Q[a, k] * Y[i * ny + k, j]
-            for a in range(ny):
-                row = i * ny + a
-                for j in range(width):
-                    f[j] += QY[a, j] * error[a]
-                    entry = Y[row, j]
-                    for m in range(width):
-                        H[j, m] += entry * QY[a, m]
-    # the terminal cost on (x_N - xt, u_{N-1} - ut)
+                QY[a, j] += Q[a, k] * Y[first + k, j]
+    for a in range(ny):
+        for j in range(width):
+            f[j] += QY[a, j] * error[a]
+            entry = Y[first + a, j]
+            for m in range(width):
+                H[j, m] += entry * QY[a, m]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_end(H, f, T, x, target, P):
+    """The terminal cost on (x_N - xt, u_{N-1} - ut), x_N = T U + x."""
+    xt, ut = target
+    nx, nu, n = len(xt), len(ut), len(f)
     m = nx + nu
     end, offset = np.zeros((m, n)), np.empty(m)
     end[:nx] = T
@@ -86,7 +69,13 @@ def condense(M, nx, nu, ny, c, g, x0, r, last, xt, ut, Q, S, R, P):
     PE = P @ end
     H += end.T @ PE
     f += offset @ PE
-    for i in range(N):
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_commands(H, f, last, ut, S, R):
+    """The costs of moves and of commands off their target."""
+    nu = len(last)
+    for i in range(len(f) // nu):
         for j in range(nu):
             for k in range(nu):
                 p, q = i * nu + j, i * nu + k
@@ -98,6 +87,44 @@ def condense(M, nx, nu, ny, c, g, x0, r, last, xt, ut, Q, S, R, P):
                     H[p - nu, q - nu] += S[j, k]
                     H[p - nu, q] -= S[j, k]
                     H[p, q - nu] -= S[j, k]
+
+
+@njit(
+    f"{_PROGRAM}({_MATRIX}, {_MATRIX}, {_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}, UniTuple({_VECTOR}, 2),"
+    f"UniTuple({_MATRIX}, 4))",
+    cache=True, nogil=True, error_model="numpy",
+)  # fmt: skip
+def condense(M, c, g, x0, r, last, target, weights):
+    """H (n, n), f (n), Y (N ny, n) and y_free (N ny), n = N nu.
+
+    M (N + 1, nx nx + nx nu + ny nx): A, B, C of every step, flat side by side. c (N, nx), g (N + 1, ny), x0 (nx), r (N + 1, ny),
+    last (nu): the command before; target: xt (nx) and ut (nu); weights: Q, S, R and P.
+    """
+    N, nx, nu, ny = len(c), len(x0), len(last), g.shape[1]
+    n, o = N * nu, nx * nx + nx * nu  # o: where C begins
+    Q, S, R, P = weights
+    H, f, Y, free = np.zeros((n, n)), np.zeros(n), np.zeros((N * ny, n)), np.empty(N * ny)
+    T, after = np.zeros((nx, n)), np.zeros((nx, n))  # x_i = T U + x
+    x, moved, QY, error = x0.copy(), np.empty(nx), np.empty((ny, n)), np.empty(ny)
+    for i in range(N):
+        _move(M, c, i, nu, T, x, after, moved)
+        T, after = after, T
+        x, moved = moved, x
+        width = (i + 1) * nu
+        for a in range(ny):
+            row = i * ny + a
+            total = g[i + 1, a]
+            for k in range(nx):
+                entry = M[i + 1, o + a * nx + k]
+                total += entry * x[k]
+                for j in range(width):
+                    Y[row, j] += entry * T[k, j]
+            free[row] = total
+            error[a] = total - r[i + 1, a]
+        if i < N - 1:
+            _add_errors(H, f, Y, i * ny, error, Q, QY, width)
+    _add_end(H, f, T, x, target, P)
+    _add_commands(H, f, last, target[1], S, R)
     return H, f, Y, free
 
 
@@ -117,16 +144,20 @@ def steady(M, nx, nu, ny, u, y):
 
 
 @njit(
-    f"Tuple(({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}, {_VECTOR}))({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}, {_MATRIX},"
-    f"{_MATRIX}, {_VECTOR}, {_VECTOR}, {_VECTOR}, i8[::1], {_MATRIX}, f8)",
+    f"Tuple(({_MATRIX}, {_VECTOR}, {_MATRIX}, {_VECTOR}, {_VECTOR}))({_PROGRAM}, UniTuple({_MATRIX}, 2), {_VECTOR},"
+    f"Tuple(({_VECTOR}, {_VECTOR}, i8[::1], {_MATRIX})), f8)",
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip
-def with_limits(H, f, Y, free, low, high, way, y_low, y_high, soft, prices, ridge):
+def with_limits(program, reach, way, outputs, ridge):
     """The program in (U, s): its H, f, rows, and lower and upper limits, those of the variables first.
 
-    low, high (N, nu); way (nu,): largest move; soft (k,): outputs with limits; prices (2, k): linear and squared; ridge: what is
-    added to H's diagonal, in its mean.
+    program: as `condense` gives it; reach: lowest and highest commands (N, nu); way (nu,): largest move; outputs: their lower and
+    upper limits (ny), those that have any (k,), and the prices (2, k) of breaking them, linear and squared; ridge: what is added
+    to H's diagonal, in its mean.
     """
+    H, f, Y, free = program
+    low, high = reach
+    y_low, y_high, soft, prices = outputs
     N, nu = low.shape
     n, k, ny = N * nu, len(soft), len(y_low)
     moves = n - nu

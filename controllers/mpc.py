@@ -217,19 +217,16 @@ class MPC(Receding):
         """The quadratic program in the commands and the slacks of the outputs; push: what this sample's error moves."""
         from controllers.condensing import condense, with_limits  # compiled when first needed
 
-        nx, nu, ny, N = model.nx, model.nu, model.ny, self.horizon
+        nx, N = model.nx, self.horizon
         xt, ut, yt = self._target(last, model, z, r[-1])
         d_in, d_out = model.disturbances(z)
         pushed, bias, x = model.pushed(d_in - model.u0[:N]), model.y0 + d_out, z[:nx].copy()
         if self.tube is not None:
             pushed[1:] += model.K[1:N] @ d_out
             pushed[0] += 0.0 if push is None else push[:nx]
-        H, f, Y, free = condense(
-            model.M, nx, nu, ny, pushed, bias, x, r + (yt - r[-1]), np.array(last), xt, ut,
-            self._Q, self._S, self._R, self.terminal_cost(model.path[-1]),
-        )  # fmt: skip
-        low, high = self._reach(last)
-        program = Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
+        weights = self._Q, self._S, self._R, self.terminal_cost(model.path[-1])
+        condensed = condense(model.M, pushed, bias, x, r + (yt - r[-1]), np.array(last), (xt, ut), weights)
+        program = Program(*with_limits(condensed, self._reach(last), self._way, self._soft, TINY))
         if self.tube is not None:
             self._tighten(program, model.by_errors(d_out))
         return program

@@ -241,12 +241,11 @@ class NMPC(Receding):
         end, P = C[N], np.zeros((nx + nu, nx + nu))
         P[:nx, :nx] = end.T @ self._Q @ end
         target = np.linalg.pinv(end) @ (ahead[N] - bias[N])
-        H, f, Y, free = condense(
-            M, nx, nu, ny, np.ascontiguousarray(pushed), np.ascontiguousarray(bias), np.array(x), ahead, np.array(last), target,
-            np.zeros(nu), self._Q, self._S, np.zeros((nu, nu)), P,
+        condensed = condense(
+            M, np.ascontiguousarray(pushed), np.ascontiguousarray(bias), np.array(x), ahead, np.array(last),
+            (target, np.zeros(nu)), (self._Q, self._S, np.zeros((nu, nu)), P),
         )  # fmt: skip
-        low, high = self._reach(last)
-        return Program(*with_limits(H, f, Y, free, low, high, self._way, *self._soft, TINY))
+        return Program(*with_limits(condensed, self._reach(last), self._way, self._soft, TINY))
 
     @cached_property
     def _along(self) -> ca.Function:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from controllers.scheduled_pid import ScheduledPID, parts
-from controllers.tuning import Tuned, tune
+from controllers.tuning import Tuned, Tuning, tune
 from workbench.errors import InputError
 from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear
 from workbench.records import field, record
@@ -247,10 +247,11 @@ class _Plan:
             )
             return around(resonant(poles), self.model.dt) if np.abs(poles).max() < 1.0 else None
 
-        return tune(
+        tuning = Tuning(
             plants, weights, self.parts, omega, self.bounds, goals=None if goals is None else np.repeat(goals, n),
-            allowed=self.structure.allowed, starts=starts, closed=closed, room=ROOM, enough=enough,
+            allowed=self.structure.allowed, closed=closed, room=ROOM,
         )  # fmt: skip
+        return tune(tuning, starts=starts, enough=enough)
 
     def law(self, X: np.ndarray, held: np.ndarray) -> ScheduledPID:
         """The law with these parts; at rest at `held` (m, ny) it needs no integral."""

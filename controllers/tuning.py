@@ -79,33 +79,37 @@ class Tuned:
     path: np.ndarray = field("k nq m nu ny")
 
 
-def tune(
-    plants: Sequence[Frozen],
-    weights: np.ndarray,
-    parts: Callable[[np.ndarray], np.ndarray],
-    omega: np.ndarray,
-    bounds: Bounds = DEFAULT,
-    *,
-    goals: np.ndarray | None = None,
-    allowed: np.ndarray | None = None,
-    starts: Sequence[np.ndarray] = (),
-    closed: Callable[[np.ndarray], np.ndarray | None] | None = None,
-    room: float = 0.0,
-    enough: float = 1e-4,
-) -> Tuned:
-    """Gains that maximise low-frequency action for every plant at once, within the bounds; see the module.
+@record
+class Tuning:
+    """What is tuned: a law on plants, within bounds.
 
     weights (n, m): basis functions at the plants' schedule values. parts(omega) (N, nq): what the gains are multiplied with,
     in the order proportional, integral, rest. omega (N,): frequencies in rad/s at which the bounds are kept. goals (n,): t_i,
-    what each plant alone reaches; default 1. allowed (nu, ny): entries of the gains that may differ from 0. starts: gains to
-    begin from, the first of them that keeps the bounds, or gains near the first of all that do; without one it begins anew,
-    several times, and the best is taken. closed: of gains X the frequencies that the poles of all closed loops turn at, where
-    the bounds are looked at too, or None where a pole is unstable; without it a design begins with integral action alone, and
-    nothing but `omega` says that the loops stay stable. room: the programs keep the bounds by this share more, for what lies
-    between their frequencies. enough: relative gain of t in a step below which the design is done.
+    what each plant alone reaches; default 1. allowed (nu, ny): entries of the gains that may differ from 0. closed: of gains X
+    the frequencies that the poles of all closed loops turn at, where the bounds are looked at too, or None where a pole is
+    unstable; without it a design begins with integral action alone, and nothing but `omega` says that the loops stay stable.
+    room: the programs keep the bounds by this share more, for what lies between their frequencies.
+    """
+
+    plants: Sequence[Frozen]
+    weights: np.ndarray
+    parts: Callable[[np.ndarray], np.ndarray]
+    omega: np.ndarray
+    bounds: Bounds = DEFAULT
+    goals: np.ndarray | None = None
+    allowed: np.ndarray | None = None
+    closed: Callable[[np.ndarray], np.ndarray | None] | None = None
+    room: float = 0.0
+
+
+def tune(tuning: Tuning, *, starts: Sequence[np.ndarray] = (), enough: float = 1e-4) -> Tuned:
+    """Gains that maximise low-frequency action for every plant at once, within the bounds; see the module.
+
+    starts: gains to begin from, the first of them that keeps the bounds, or gains near the first of all that do; without one it
+    begins anew, several times, and the best is taken. enough: relative gain of t in a step below which the design is done.
     Raises InputError where P(0) leaves no integral action, or where no start keeps the bounds.
     """
-    task = _Task(plants, weights, parts, omega, bounds, goals, allowed, room, closed)
+    task = _Task(tuning)
     begun = task.from_given(starts) or task.starts()
     first = ROUNDS if len(begun) == 1 or len(task.free[0]) <= FEW else FIRST
     tried = [task.climbed([X], enough, first) for X in begun]
@@ -117,13 +121,14 @@ def tune(
 class _Task:
     """The programs of one design: plants and parts at all frequencies, and the bounds with room to spare."""
 
-    def __init__(self, plants, weights, parts, omega, bounds, goals, allowed, room, closed):
-        self.plants, self.parts_at, self.closed = plants, parts, closed
+    def __init__(self, tuning: Tuning):
+        plants, bounds, goals, allowed = tuning.plants, tuning.bounds, tuning.goals, tuning.allowed
+        self.plants, self.parts_at, self.closed = plants, tuning.parts, tuning.closed
         self.P0 = np.stack([plant.gain for plant in plants])
-        self.weights = np.asarray(weights, dtype=float)
+        self.weights = np.asarray(tuning.weights, dtype=float)
         self.omega = np.empty(0)
         self.sparse = self.skeleton = np.empty(0, dtype=bool)
-        self._look_at(np.asarray(omega, dtype=float))
+        self._look_at(np.asarray(tuning.omega, dtype=float))
         self.goals = np.ones(len(plants)) if goals is None else np.asarray(goals, dtype=float)
         n, N, ny, nu = self.P.shape
         smallest = np.linalg.svd(self.P0, compute_uv=False)[:, ny - 1 :].min(axis=1) if ny <= nu else np.zeros(n)
@@ -137,7 +142,7 @@ class _Task:
         self.limits = np.empty((n, 3))
         self.limits[:, :2] = bounds.sensitivity, bounds.complementary
         self.limits[:, 2] = bounds.effort / smallest
-        self.limits *= 1.0 - room
+        self.limits *= 1.0 - tuning.room
         self.at_input = bounds.broken == "input"
         self.shape = (self.parts.shape[1], self.weights.shape[1], nu, ny)
         allowed = np.ones((nu, ny), dtype=bool) if allowed is None else np.asarray(allowed, dtype=bool)

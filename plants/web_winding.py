@@ -20,6 +20,7 @@ from workbench.physics.effects.reel import Reel
 from workbench.physics.effects.shaft import Shaft
 from workbench.physics.effects.span import Span
 from workbench.physics.effects.winding import Winding
+from workbench.physics.held import held
 from workbench.physics.parameters import Parameter
 from workbench.physics.plant import Plant
 from workbench.physics.rest import Start
@@ -129,3 +130,13 @@ WEB_WINDING = Plant(
     },
     limits={"r1": (0.010, 0.030), "r2": (0.010, 0.030), "T1": (-5.0, 50.0), "T2": (-5.0, 50.0)},
 )
+
+
+def frozen_machine(r2: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C of the sampled machine (40 ms, zero-order hold) with both radii held, from V1, V2 to w3."""
+    p = {q.name: q.value for q in WEB_WINDING.parameters}
+    r1 = np.sqrt(p["r_full"] ** 2 + p["r_core"] ** 2 - r2**2)  # what is on one reel is missing on the other
+    A, B, C, _ = WEB_WINDING.linearize(*WEB_WINDING.equilibrium(r1=r1, r2=r2))
+    fast = [i for i, name in enumerate(WEB_WINDING.state_names) if name not in ("r1", "r2")]
+    A, B, C = A[np.ix_(fast, fast)], B[fast], C[[WEB_WINDING.output_names.index("w3")]][:, fast]
+    return *held(A, B, WEB_WINDING.dt), C

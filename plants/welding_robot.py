@@ -12,10 +12,13 @@ unbalance that changes with the arm's configuration (arm-gravity), and a platfor
 [2] the mobile arc-welding robot with interval parameters, equation (9).
 """
 
+import numpy as np
+
 from workbench.data import Channel
 from workbench.physics.effects.robot import Robot
 from workbench.physics.effects.shaft import Slide
-from workbench.physics.parameters import Parameter
+from workbench.physics.held import held
+from workbench.physics.parameters import EffectSizes, Parameter
 from workbench.physics.plant import Plant
 
 
@@ -61,3 +64,26 @@ WELDING_ROBOT = Plant(
         "rail": "the platform on its rail",
     },
 )
+
+
+def frozen_parameters(mass: float, dt: float) -> np.ndarray:
+    """alpha_1, alpha_2, beta_1, beta_0 (4,) of the robot with its platform held at `mass` [kg], sampled with a held force.
+
+    With the zero-order hold of [A B; 0 0] and D = q - 1:  D^2 v = -alpha_1 D v - alpha_2 v + beta_1 D u + beta_0 u.
+    """
+    p = WELDING_ROBOT.parameter_vector({"m1": mass})
+    A, B, C, _ = WELDING_ROBOT.linearize(*WELDING_ROBOT.equilibrium(p), p)
+    n = len(A)
+    Ad, Bd = held(A, B[:, [WELDING_ROBOT.input_names.index("u")]], dt)
+    F, g, c = Ad - np.eye(n), Bd[:, 0], C[0]  # in delta form D x = F x + g u
+    alpha_1, alpha_2 = -np.trace(F), np.linalg.det(F)
+    return np.array([alpha_1, alpha_2, c @ g, c @ (F + alpha_1 * np.eye(n)) @ g])
+
+
+def frozen_course(t: np.ndarray, dt: float, effects: EffectSizes) -> np.ndarray:
+    """The frozen parameters (len(t), 4) at the mass that the platform has at every instant t [s]."""
+    values = zip(WELDING_ROBOT.slots, WELDING_ROBOT.effect_vector(effects), strict=True)
+    size = {slot.parameter.name: value for slot, value in values if slot.key == "platform-mass@rail"}
+    nominal = next(q.value for q in WELDING_ROBOT.parameters if q.name == "m1")
+    mass = nominal * (1.0 + size["change"] + size["swing"] * np.sin(2 * np.pi * t / size["period"]))
+    return np.array([frozen_parameters(m, dt) for m in mass])

@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from controllers.files import load_controller, save_controller
+from controllers.pictures import POINTS, design_pictures
 from controllers.receding import count_statuses
 from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
-from studies.design import POINTS, design_pictures
 from studies.loops import Bench, Case, Designed, benches
-from studies.table import made, whole_rows
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.lpv import load_model
@@ -35,6 +34,7 @@ from workbench.report.blocks import Block, Picture, Provenance, Report, Section,
 from workbench.report.page import write_report
 from workbench.robustness.frozen import worst_margins
 from workbench.simulation import LeftRangeError, simulate
+from workbench.table import made, whole_rows
 
 Say = Callable[[str], None]
 Row = dict[str, Any]

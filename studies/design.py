@@ -1,7 +1,7 @@
 """`workbench design`: from an identified model to a controller file, its margins, and what to do with it."""
 
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,9 @@ from controllers.designs import KNOTS, ScheduledPIDDesign, command_limits, setpo
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
+from controllers.pictures import POINTS, design_pictures
 from controllers.pid_design import PIDDesign
-from controllers.scheduled_pid import Gains, ScheduledPID
+from controllers.scheduled_pid import ScheduledPID
 from controllers.tables import gain_csv
 from controllers.tube import taken
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
@@ -27,16 +28,12 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
 from workbench.readers import read_file
-from workbench.report import figures
-from workbench.report.blocks import Block, Report, Section, Table
+from workbench.report.blocks import Report, Section
 from workbench.report.page import write_report
-from workbench.robustness.frozen import DEFAULT, Bounds, Margins, closed_loop, frequencies, loops_of, worst_margins
+from workbench.robustness.frozen import Margins, worst_margins
 from workbench.verification.trial import Trial, tried
 
 Say = Callable[[str], None]
-POINTS, FAMILY = 25, 5  # schedule values at which margins and Nyquist curves are drawn
-WIDTHS = np.array([-4.0, -2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0, 4.0])  # of a peak, at which it is drawn
-FROZEN, STEP = 15, 4.0  # schedule values at which one can look at a loop; s of a step response
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 
 
@@ -278,102 +275,6 @@ def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
     return setpoint_of(_given(texts), model)
-
-
-def design_pictures(
-    laws: Mapping[str, ScheduledPID], models: Sequence[LPVModel], bounds: Bounds = DEFAULT, scale: np.ndarray | None = None
-) -> tuple[Block, ...]:
-    """Gains over the schedule of PIDs, the worst margins of all models, and the last law's Nyquist curves on the first."""
-    model = models[0]
-    schedule = model.schedule
-    rho = [None] if schedule is None else list(np.linspace(model.span[0], model.span[1], POINTS))
-    margins = {name: worst_margins(law, models, rho, bounds, scale) for name, law in laws.items()}
-    peaks = {"largest sensitivity": "sensitivity", "largest complementary sensitivity": "complementary", "largest pole": "radius"}
-    name, law = list(laws.items())[-1]
-    shown = [rho[i] for i in np.unique(np.linspace(0, len(rho) - 1, FAMILY).round().astype(int))]
-    titles = [model.name if schedule is None else f"{schedule.name} = {at:.4g} {schedule.unit}".rstrip() for at in shown]
-    omega = _drawn_at(law, model, shown)
-    opened = [loops_of(law, model, at, omega) for at in shown]
-    family = figures.nyquist(
-        f"Nyquist curves, {name}",
-        {
-            f"loop of {c.name}": {title: L[:, i] for title, L in zip(titles, opened, strict=True)}
-            for i, c in enumerate(model.inputs)
-        },
-        bounds.sensitivity,
-    )
-    if schedule is None:
-        rows = tuple((own, *(float(getattr(margins[own], key)[0]) for key in peaks.values())) for own in laws)
-        return Table("Margins", ("law", *peaks), rows, digits=3), family
-    over = figures.Trace(schedule, np.array(rho))
-    asked = {"sensitivity": bounds.sensitivity, "complementary": bounds.complementary, "radius": 1.0}
-    curves = {
-        panel: {own: getattr(m, key) for own, m in margins.items()} | {"asked": np.array(asked[key])}
-        for panel, key in peaks.items()
-    }  # fmt: skip
-    gains = {own: [found.gains_at(value) for value in rho] for own, found in laws.items()}
-    surfaces = {
-        f"{kind}, {u.name} from {y.name}": {own: np.array([g[k][i, j] for g in each]) for own, each in gains.items()}
-        for k, kind in enumerate(Gains._fields[:-1])
-        for i, u in enumerate(model.inputs)
-        for j, y in enumerate(model.outputs)
-    }
-    return (
-        figures.over_schedule(
-            "Margins over the schedule",
-            over,
-            curves,
-            "Frozen loops of the identified model, the largest of all frequencies; asked: the bound.",
-        ),
-        figures.over_schedule("Gains over the schedule", over, surfaces),
-        family,
-        *_frozen(name, law, model),
-    )
-
-
-def _drawn_at(law: ScheduledPID, model: LPVModel, rhos: Sequence[float | None] | np.ndarray) -> np.ndarray:
-    """Frequencies at which curves are drawn: evenly, and across every peak."""
-    omega = frequencies(model.dt, 5)
-    across = np.concatenate([closed_loop(law, model, rho).system.around(WIDTHS) for rho in rhos])
-    return np.union1d(omega, across[(across > omega[0]) & (across < omega[-1])])
-
-
-def _frozen(name: str, law: ScheduledPID, model: LPVModel) -> tuple[Block, ...]:
-    """What a loop does at every schedule value: sensitivities over frequency, and steps of each set-point by one unit."""
-    assert model.schedule is not None
-    rho = np.linspace(model.span[0], model.span[1], FROZEN)
-    omega = _drawn_at(law, model, rho)
-    opened = np.stack([loops_of(law, model, at, omega) for at in rho])  # (R, N, nu)
-    sensitivities = {}
-    for i, u in enumerate(law.actuated):
-        sensitivities[f"|S| {u}"] = 20.0 * np.log10(np.abs(1.0 / (1.0 + opened[..., i])))
-        sensitivities[f"|T| {u}"] = 20.0 * np.log10(np.abs(opened[..., i] / (1.0 + opened[..., i])))
-    over = figures.Trace(model.schedule, rho)
-    t = model.dt * np.arange(max(2, round(STEP / model.dt)))
-    steps = {f"{y} from {y}_set": np.stack([_step(law, model, at, j, len(t)) for at in rho]) for j, y in enumerate(law.measured)}
-    return (
-        figures.frozen_responses(omega, over, sensitivities, f"Sensitivities at every {model.schedule.name}, {name}", drawn=3),
-        figures.frozen_steps(t, over, steps, f"Steps of the set-points at every {model.schedule.name}, {name}"),
-    )
-
-
-def _step(law: ScheduledPID, model: LPVModel, rho: float, j: int, N: int) -> np.ndarray:
-    """(N,) change of output j of the frozen model when its set-point rises by one unit at the first sample, from rest."""
-    A, B, C, _ = model.freeze(rho)  # a law is designed on models without feedthrough
-    own = [[c.name for c in model.outputs].index(name) for name in law.measured]
-    acts = [[c.name for c in model.inputs].index(name) for name in law.actuated]
-    phi = model.operating_point.basis(np.array(rho))
-    y0, u0 = phi @ model.operating_point.y, phi @ model.operating_point.u
-    r, x, u = y0[own].copy(), np.zeros(len(A)), np.zeros(B.shape[1])
-    state, found = law.init(u0[acts]), np.empty(N)
-    for k in range(-1, N):  # one sample at rest before, so that the law stands where the model does
-        y = C @ x + y0
-        if k >= 0:
-            found[k] = y[own[j]] - y0[own[j]]
-        command, state = law.step(state, r + (k >= 0) * np.eye(len(own))[j], y[own], rho)
-        u[acts] = command - u0[acts]
-        x = A @ x + B @ u
-    return found
 
 
 def _described(model: LPVModel) -> str:

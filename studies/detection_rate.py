@@ -12,7 +12,7 @@ from studies.jobs.recorded import Recorded
 from studies.question import Answer, Question, Runs, drawn, study, told
 from workbench.report import figures
 from workbench.report.blocks import Table
-from workbench.sweeps import Factor, Sweep
+from workbench.sweeps.design import Factor, Sweep
 
 EFFECT = "coulomb@rail:level"
 SIZES, QUICK = tuple(float(f"{x:.2g}") for x in np.geomspace(3e-4, 1e-2, 8)), (5e-4, 1.5e-3, 5e-3)  # N

@@ -7,11 +7,9 @@ runs it, and the diagnosis is made again. All rates are of the rows alone: see h
 """
 
 import math
-import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,24 +17,21 @@ from typing import Any
 import numpy as np
 
 from plants import PLANTS
+from studies.cases import TABLE, Cases, Say, from_tests, study
 from studies.experiments import templates_of
 from studies.hidden_scores import (
     TESTABLE,
     Bin,
-    Confusion,
     Outcome,
     Resolution,
     Row,
-    Seconds,
-    Share,
     Summary,
     by_machine,
     outcome,
     resolution,
     tied,
 )
-from studies.table import fingerprint, resumed
-from studies.targets import Target, reached, target_table
+from studies.targets import Target, reached, target_table, to_json
 from workbench.data import Dataset, Experiment
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.experiments import proposable
@@ -45,13 +40,11 @@ from workbench.diagnosis.recalibrate import recalibrated
 from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
-from workbench.provenance import provenance
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.figures import Rates
-from workbench.report.page import write_report
+from workbench.table import fingerprint, resumed
 
-Say = Callable[[str], None]
 Limits = Mapping[str, Mapping[str, float]]  # by machine and "effect@place"
 
 LIMIT_SEED = (
@@ -59,7 +52,6 @@ LIMIT_SEED = (
 )
 FIVE_SIGMA = 25.0
 CLEAR, TRIALS = (100.0, 1600.0), 5  # losses from which a limit is read, how often a size is tried
-SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 600, 30
 CONFUSIONS = 20
 LAYOUT = 4  # of a row: rows of another layout are not counted with these
@@ -79,54 +71,12 @@ TARGETS = (
 )
 
 
-def main(
-    quick: bool = False,
-    *,
-    folder: Path,
-    data: str | None = None,
-    seed: int = 1,
-    json: str | None = None,
-    say: Say = print,
-    progress: Say = lambda _: None,
-    cases: int | None = None,
-    jobs: int = 1,
-) -> Path:
-    """Run `cases` cases (600, 30 with `quick`) of `seed` that `folder` does not hold yet, write the report; returns its path.
-
-    Raises InputError for `data`, for a folder of another version or other limits, and outside a checkout of the workbench.
-    """
-    if data is not None:
-        raise InputError("this study makes its own records", mend="leave --data out")
-    count = cases or (QUICK if quick else CASES)
-    if count > LIMIT_SEED:
-        raise InputError(f"{count} cases", mend=f"at most {LIMIT_SEED} a seed")
-    seeds = range(SEEDS * seed, SEEDS * seed + count)
-    wanted = set(seeds)
-    rows = [row for row in run(folder, seeds, jobs, progress) if row["seed"] in wanted]
-    found = by_machine(rows)
-    source = provenance({"study": "hidden-effects", "cases": count, "quick": quick}, [folder / "cases.jsonl"], seed)
-    content = {"summary": {name: to_json(s) for name, s in found.items()}, "provenance": source}
-    for path in (folder / "summary.json", json):
-        if path:
-            write_json(path, content)
-    path = write_report(_report(rows, found, source), folder)
-    say(f"{verdict(found['all'])}\n\nreport: {path}")
-    return path
-
-
 # ---- cases ------------------------------------------------------------------------------------------------------------------
 
 
 def generator() -> Any:
     """The module tests.hidden.case of the checkout that this file belongs to."""
-    root = Path(__file__).resolve().parents[1]
-    if not (root / "tests" / "hidden" / "case.py").exists():
-        raise InputError("the generator of hidden effects is not here", mend="run this study from a checkout of the workbench")
-    if str(root) not in sys.path:
-        sys.path.insert(0, str(root))
-    from tests.hidden import case
-
-    return case
+    return from_tests("tests.hidden.case", "the generator of hidden effects")
 
 
 def limits_of(machine: str, seed: int = LIMIT_SEED, records: int | None = None) -> dict[str, float]:
@@ -279,7 +229,7 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
     limits = _limits(folder, progress)
     configuration = configured(limits)
     return resumed(
-        folder / "cases.jsonl",
+        folder / TABLE,
         partial(run_case, limits=limits, configuration=configuration),
         list(seeds),
         key="seed",
@@ -333,24 +283,6 @@ def verdict(s: Summary) -> str:
     if s.errors:
         said.append(f"{s.errors} diagnoses ended with an error; they count as if nothing had been said.")
     return " ".join(said)
-
-
-def to_json(s: Summary) -> dict[str, Any]:
-    """A summary as plain numbers."""
-    return {f.name: _plain(getattr(s, f.name)) for f in fields(s)}
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case Share():
-            return value.to_dict()
-        case Bin():
-            return {"low": value.low, "high": value.high, "mean": value.mean} | value.share.to_dict()
-        case Confusion() | Seconds():
-            return {f.name: getattr(value, f.name) for f in fields(value)}
-        case tuple():
-            return [_plain(x) for x in value]
-    return value
 
 
 def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str, Any]) -> Report:
@@ -483,3 +415,11 @@ def _wrong(rows: Sequence[Row]) -> tuple[Block, ...]:
     faults = [row for row in rows if "error" in row or "undrawn" in row]
     parts = (("Confident wrong names", wrong), ("Named though nothing was hidden", alarms), ("Without an answer", faults))
     return tuple(Text(f"{title}: {len(own)}.\n\n" + "\n\n".join(map(said, own))) for title, own in parts)
+
+
+main = study(
+    Cases(
+        "hidden-effects", CASES, QUICK, LIMIT_SEED, f"at most {LIMIT_SEED} a seed",
+        run=run, counted=by_machine, to_json=to_json, verdict=verdict, report=_report,
+    )
+)  # fmt: skip

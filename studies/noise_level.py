@@ -11,7 +11,7 @@ from studies.jobs.recorded import Recorded
 from studies.question import Answer, Question, Runs, drawn, study
 from workbench.report import figures
 from workbench.report.blocks import Table
-from workbench.sweeps import Factor, Sweep
+from workbench.sweeps.design import Factor, Sweep
 
 MODELS = ("lti", "ilm", "ssm")
 ESTIMATION, HELD_OUT = ("prbs1", "rbs"), ("sine", "rgs")

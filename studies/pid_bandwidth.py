@@ -13,7 +13,7 @@ from studies.question import NOWHERE, Answer, Question, Runs, drawn, study, told
 from workbench.data import Channel
 from workbench.report import figures
 from workbench.robustness.limits import Manoeuvre
-from workbench.sweeps import Factor, Sweep
+from workbench.sweeps.design import Factor, Sweep
 
 PEAKS, QUICK = (1.06, 1.1, 1.15, 1.25, 1.4, 1.6, 1.8, 2.1, 2.5), (1.1, 1.4, 2.0)
 SEEDS, QUICK_SEEDS = 4, 1

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from studies.sweep_page import failures
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -22,7 +21,11 @@ from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report.blocks import Block, Provenance, Report, Section, Table
 from workbench.report.page import write_report
-from workbench.sweeps import Job, Rows, Sweep, export_csv, read_rows, run_sweep
+from workbench.report.sweep import failures
+from workbench.sweeps.design import Sweep
+from workbench.sweeps.job import Job
+from workbench.sweeps.rows import Rows, export_csv, read_rows
+from workbench.sweeps.run import run_sweep
 
 Say = Callable[[str], None]
 NOWHERE = "Nowhere did every run come to an end: no answer."

@@ -10,7 +10,6 @@ licence and label of each.
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,9 @@ from typing import Any
 import numpy as np
 
 from studies import answers, real_plants
-from studies.hidden_scores import Share
 from studies.real_scores import Ending, Machine, Reference, Summary, against, agreeing, ending, sized, summary
 from studies.stranger_scores import HORIZONS, Row, ratios
-from studies.table import fingerprint, resumed
-from studies.targets import Target, reached, target_table
+from studies.targets import Target, reached, target_table, to_json
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.runs import Runner
 from workbench.errors import InputError
@@ -36,6 +33,7 @@ from workbench.report.blocks import Block, Provenance, Report, Section, Table, T
 from workbench.report.figures import Trace
 from workbench.report.page import write_report
 from workbench.sources import read
+from workbench.table import fingerprint, resumed
 
 Say = Callable[[str], None]
 
@@ -348,12 +346,6 @@ def _cause(c: Mapping[str, Any]) -> str:
     )
     sure, ties = "" if c["sure"] else ", not sure", f" ~ {', '.join(c['ties'])}" if c["ties"] else ""
     return f"{c['key']} ({numbers}){sure}{ties}"
-
-
-def to_json(s: Summary) -> dict[str, Any]:
-    """A summary as plain numbers."""
-    values = {f.name: getattr(s, f.name) for f in fields(s)}
-    return {name: v.to_dict() if isinstance(v, Share) else v for name, v in values.items()}
 
 
 # ---- the page ---------------------------------------------------------------------------------------------------------------

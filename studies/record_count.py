@@ -9,7 +9,7 @@ from studies.jobs.identification import Identification
 from studies.jobs.recorded import Recorded
 from studies.question import NOWHERE, Answer, Question, Runs, drawn, study, whole
 from workbench.report import figures
-from workbench.sweeps import Factor, Sweep
+from workbench.sweeps.design import Factor, Sweep
 
 ESTIMATION, HELD_OUT = ("rbs", "rgs", "prbs1", "sine"), ("rbs", "rgs")
 OUTPUT = "w3"

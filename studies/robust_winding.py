@@ -6,6 +6,7 @@ tighten a design until its limits are proved. Random trials stand beside every s
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +38,11 @@ from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.falsify.box import tolerance_box
 from workbench.robustness.falsify.search import at_random, worst_plant
+from workbench.robustness.falsify.trials import Search
 from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
-from workbench.robustness.loop import course_of, driven, machine_with_errors
+from workbench.robustness.loop import course_of, driven
+from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Margin, margin
 from workbench.robustness.verdict import Status, Verdict
 from workbench.simulation import Scenario, simulate
@@ -229,8 +232,9 @@ def _against_random(
     assert run_ is not None
     scenario: Scenario = run_.scenario(WINDING, law)
     budget = 200 if quick else 1000
-    searched = worst_plant(WINDING, law, scenario, [limit], box, runs=budget, seed=seed)
-    chance = at_random(WINDING, law, scenario, [limit], box, runs=budget if quick else 10 * budget, seed=seed)
+    search = Search(WINDING, law, scenario, [limit], box, runs=budget, seed=seed)
+    searched = worst_plant(search)
+    chance = at_random(search if quick else replace(search, runs=10 * budget))
     n = max(len(searched.history), len(chance.history))
 
     def padded(history: np.ndarray) -> np.ndarray:

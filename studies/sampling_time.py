@@ -10,7 +10,7 @@ from studies.jobs.pid_design import DesignedLoop
 from studies.pid_bandwidth import LIMITS, MARGIN, OTHER, QUALITY, RECORDED, RUN
 from studies.question import NOWHERE, Answer, Question, Runs, drawn, study, told, whole
 from workbench.report import figures
-from workbench.sweeps import Factor, Sweep
+from workbench.sweeps.design import Factor, Sweep
 
 TIMES, QUICK = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.12), (0.02, 0.04, 0.08)  # s
 SEEDS, QUICK_SEEDS = 4, 1

@@ -6,11 +6,9 @@ An answer, a refusal with its message, or a crash with its traceback is a row of
 run that was cut off goes on where it stopped. All rates are of the rows alone: see stranger_scores.
 """
 
-import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,20 +17,16 @@ from typing import Any
 import numpy as np
 
 from studies import answers
-from studies.hidden_scores import Share, misled, strangers
+from studies.cases import SEEDS, TABLE, Cases, Say, from_tests, study
+from studies.hidden_scores import misled, strangers
 from studies.stranger_scores import HORIZONS, Outcome, Row, Summary, by_machine, outcome, ratios, worse
-from studies.table import fingerprint, resumed
-from studies.targets import Target, reached, target_table
+from studies.targets import Target, reached, target_table, to_json
 from workbench.errors import InputError
-from workbench.files import nullable, write_json
-from workbench.provenance import provenance
+from workbench.files import nullable
 from workbench.readers import write_csv
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
-from workbench.report.page import write_report
+from workbench.table import fingerprint, resumed
 
-Say = Callable[[str], None]
-
-SEEDS = 10**6  # case k of seed N has the seed N SEEDS + k
 CASES, QUICK = 400, 28
 LAYOUT = 4  # of a row: rows of another layout are not counted with these
 
@@ -50,53 +44,12 @@ TARGETS = (
 )
 
 
-def main(
-    quick: bool = False,
-    *,
-    folder: Path,
-    data: str | None = None,
-    seed: int = 1,
-    json: str | None = None,
-    say: Say = print,
-    progress: Say = lambda _: None,
-    cases: int | None = None,
-    jobs: int = 1,
-) -> Path:
-    """Run `cases` cases (400, 28 with `quick`) of `seed` that `folder` does not hold yet, write the report; returns its path.
-
-    Raises InputError for `data`, for a folder of another version, and outside a checkout of the workbench.
-    """
-    if data is not None:
-        raise InputError("this study makes its own records", mend="leave --data out")
-    count = cases or (QUICK if quick else CASES)
-    if count >= SEEDS:
-        raise InputError(f"{count} cases", mend=f"fewer than {SEEDS} a seed")
-    zoo()
-    seeds = range(SEEDS * seed, SEEDS * seed + count)
-    rows = [row for row in run(folder, seeds, jobs, progress) if row["seed"] in seeds]
-    found = by_machine(rows)
-    source = provenance({"study": "strangers", "cases": count, "quick": quick}, [folder / "cases.jsonl"], seed)
-    content = {"summary": {name: to_json(s) for name, s in found.items()}, "provenance": source}
-    for path in (folder / "summary.json", json):
-        if path:
-            write_json(path, content)
-    path = write_report(_report(rows, found, source), folder)
-    say(f"{verdict(found['all'])}\n\nreport: {path}")
-    return path
-
-
 # ---- cases ------------------------------------------------------------------------------------------------------------------
 
 
 def zoo() -> Any:
     """The modules `case` and `registry` of tests/strangers, of the checkout that this file belongs to."""
-    root = Path(__file__).resolve().parents[1]
-    if not (root / "tests" / "strangers" / "case.py").exists():
-        raise InputError("the zoo of strangers is not here", mend="run this study from a checkout of the workbench")
-    if str(root) not in sys.path:
-        sys.path.insert(0, str(root))
-    from tests.strangers import case, registry
-
+    case, registry = (from_tests(f"tests.strangers.{name}", "the zoo of strangers") for name in ("case", "registry"))
     return SimpleNamespace(case=case, registry=registry)
 
 
@@ -143,7 +96,7 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
     configuration = configured()
     work = partial(run_case, configuration=configuration)
     return resumed(
-        folder / "cases.jsonl",
+        folder / TABLE,
         work,
         list(seeds),
         key="seed",
@@ -183,12 +136,6 @@ def said(row: Row) -> str:
 def verdict(s: Summary) -> str:
     """The targets, what was reached, and where it falls short, in one paragraph."""
     return " ".join([f"{s.cases} cases of machines that the workbench has not seen.", *reached(TARGETS, s)])
-
-
-def to_json(s: Summary) -> dict[str, Any]:
-    """A summary as plain numbers."""
-    values = {f.name: getattr(s, f.name) for f in fields(s)}
-    return nullable({name: v.to_dict() if isinstance(v, Share) else v for name, v in values.items()})
 
 
 def _report(rows: Sequence[Row], found: Mapping[str, Summary], source: dict[str, Any]) -> Report:
@@ -262,3 +209,11 @@ def _wrong(rows: Sequence[Row]) -> tuple[Block, ...]:
 
 def _told(row: Row) -> str:
     return said(row) + "".join(f"\n\n{row[fault]}" for fault in ("crashed", "unjudged") if fault in row)
+
+
+main = study(
+    Cases(
+        "strangers", CASES, QUICK, SEEDS - 1, f"fewer than {SEEDS} a seed",
+        run=run, counted=by_machine, to_json=lambda s: nullable(to_json(s)), verdict=verdict, report=_report,
+    )
+)  # fmt: skip

@@ -6,13 +6,15 @@ from pathlib import Path
 
 from studies.arguments import run_folder
 from studies.jobs import JOBS
-from studies.sweep_page import page
 from workbench.errors import InputError, check_known
 from workbench.files import nullable, write_json
 from workbench.provenance import provenance
 from workbench.report.page import write_report
+from workbench.report.sweep import page
 from workbench.sensitivity import sensitivity
-from workbench.sweeps import Factor, Rows, export_csv, export_parquet, load_sweep, read_rows, require_parquet, run_sweep
+from workbench.sweeps.design import Factor, load_sweep
+from workbench.sweeps.rows import Rows, export_csv, export_parquet, read_rows, require_parquet
+from workbench.sweeps.run import run_sweep
 
 Say = Callable[[str], None]
 

@@ -1,9 +1,10 @@
 """What a rate must come to, and how a study says which of them it reached."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
-from studies.hidden_scores import Share
+from studies.hidden_scores import Bin, Confusion, Seconds, Share
 from workbench.records import record
 from workbench.report.blocks import Table
 
@@ -55,3 +56,21 @@ def target_table(targets: Sequence[Target], found: Mapping[str, Any], columns: S
     header = ("what", "target", "reached", "share [%]", "low [%]", "high [%]", "cases", *columns)
     caption = f"{caption} Intervals: Clopper and Pearson, 95 %.".strip()
     return Table("Targets and what was reached", header, tuple(rows), caption=caption, digits=3)
+
+
+def to_json(summary: Any) -> dict[str, Any]:
+    """A summary as plain numbers."""
+    return {f.name: _plain(getattr(summary, f.name)) for f in fields(summary)}
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case Share():
+            return value.to_dict()
+        case Bin():
+            return {"low": value.low, "high": value.high, "mean": value.mean} | value.share.to_dict()
+        case Confusion() | Seconds():
+            return {f.name: getattr(value, f.name) for f in fields(value)}
+        case tuple():
+            return [_plain(x) for x in value]
+    return value

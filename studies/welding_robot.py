@@ -8,137 +8,51 @@ on the four curves of [2] Fig. 4, beside an LTI model plus a bound on its error.
 """
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
 
-from plants import WELDING_ROBOT
-from studies.arguments import record_files, split_estimation
-from studies.bounded import Bounded, bounded, cover_bounded
-from studies.experiments import CURVES, measured
+from plants.welding_robot import frozen_course
+from studies.experiments import CURVES
+from studies.robot_envelopes import (
+    HORIZONS,
+    ORDER,
+    OUTPUT,
+    PERTURBED,
+    Identified,
+    Judged,
+    Records,
+    Sampling,
+    Say,
+    identify,
+    judge,
+    known_records,
+    mean_radius,
+    sampled_boxes,
+    simulated_records,
+)
 from workbench.answers.envelopes import (
+    along_time,
     described_modes,
     domain_picture,
     envelope_pictures,
     envelope_table,
     mode_tables,
+    truth_held,
     width_picture,
 )
 from workbench.answers.scored import ScoredModel, scores_file
-from workbench.data import Channel, Dataset, Experiment
-from workbench.errors import InputError
+from workbench.data import Channel, Experiment
 from workbench.files import write_json
-from workbench.identification.lti import LTI
-from workbench.intervals.coverage import SAYS_NOTHING, Coverage, cover, pooled
+from workbench.intervals.coverage import SAYS_NOTHING, Coverage, pooled
 from workbench.intervals.model import IntervalModel
-from workbench.intervals.output_error import OutputErrorRegression
-from workbench.intervals.regression import IntervalRegression, InTime
-from workbench.intervals.regressors import ARX
-from workbench.intervals.semantics import InclusionExact
-from workbench.metrics import Horizon, Score, Split, score
-from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
-from workbench.readers import check_units, write_csv
-from workbench.records import field, record
+from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
-from workbench.sources import read
-
-Say = Callable[[str], None]
-
-INPUT, OUTPUT = "u", "v"
-ESTIMATION = ("rbs", "multisine")
-RANDOM = (*ESTIMATION, "prbs")  # names by which estimation records are known in a user's folder
-ORDER = 2
-HORIZONS: tuple[Horizon, ...] = ("one-step", "free-run")
-# Friction and gravity of [2] Fig. 4's curves 1 and 3, and a mass between the nominal one and 1.8 times it. Curve 4 is heavier
-# than anything the models have seen: they are to be judged there as well.
-PERTURBED: EffectSizes = {**CURVES["curve1"], **CURVES["curve3"], "platform-mass@rail": {"change": 0.4, "swing": 0.4}}
-MASS = "platform-mass@rail"
-QUICK_CURVES = ("curve2", "curve4")
-MULTIPLES = (1, 2, 3, 4, 5)  # of the records' sample time, at which boxes are tried
-SHORTEST = 300  # samples that a record must keep
-TIGHTER = (0.95, 0.9, 0.85, 0.8, 0.75, 0.7, 0.6, 0.5)  # mean radius asked of modes, in that of one box
-TOLERANCE = 1e-3  # of the precision, to which it is raised without more modes
-
-
-@record
-class Records:
-    """The records as logged. mass: one in which only the mass changes, with `effects`; None where nobody knows that."""
-
-    estimation: Dataset
-    held_out: Dataset
-    mass: Experiment | None = None
-    files: tuple[Path, ...] = ()
-
-    def at(self, dt: float) -> "Records":
-        """All records at sample time dt [s]."""
-        mass = self.mass.resample(dt) if self.mass else None
-        return Records(_at(self.estimation, dt), _at(self.held_out, dt), mass, self.files)
-
-    @property
-    def shown(self) -> tuple[Experiment, ...]:
-        """Held-out records that are drawn: one with all perturbations, one with none, one with another mass; or the first two."""
-        drawn = [e for e in self.held_out if e.name in (f"{ESTIMATION[0]}-2", "curve2", "curve4")] if self.mass else []
-        return tuple(drawn) or self.held_out.experiments[:2]
-
-
-@record
-class Sampling:
-    """Mean radii of three envelopes at one sample time on the estimation records, and the bounds around LTI [unit of y]."""
-
-    dt: float = field("", unit="s")
-    one_step: float = field("")
-    free_run: float = field("")
-    simulation: float = field("")
-    lti_one_step: float = field("")
-    lti_free_run: float = field("")
-
-
-@record
-class Step:
-    """Modes along time for one precision; `reached` after raising it without more modes (None: not tried)."""
-
-    precision: float = field("")
-    modes: int
-    mean_radius: float = field("")
-    reached: float | None = None
-
-
-@record
-class Identified:
-    """The models, how long they took [s], and how sample time and number of modes were chosen."""
-
-    lti: Bounded
-    models: dict[str, IntervalModel]
-    seconds: dict[str, float]
-    samplings: tuple[Sampling, ...]
-    steps: tuple[Step, ...]
-    mass: IntervalModel | None
-
-
-@record
-class Judged:
-    """What the answer rests on: envelopes of every model on every record, LTI plus bound among them, LTI's scores, violations.
-
-    violations: estimation samples outside the envelope that promised to hold them, by model.
-    """
-
-    lines: tuple[Coverage, ...]
-    scores: tuple[Score, ...]
-    violations: dict[str, int]
-
-    def of(self, model: str) -> tuple[Coverage, ...]:
-        return tuple(line for line in self.lines if line.model == model)
-
-    def held(self, model: str, horizon: Horizon) -> list[Coverage]:
-        return [line for line in self.of(model) if line.split == "held-out" and line.horizon == horizon]
 
 
 def main(
@@ -152,12 +66,12 @@ def main(
     progress: Say = lambda _: None,
 ) -> Path:
     """Run the study and write records, models, scores and the report into `folder`; returns the report's path."""
-    logged = _read(Path(data)) if data else _simulate(seed, quick, folder, progress)
-    samplings = _samplings(logged.estimation, quick, progress)
+    logged = known_records(Path(data)) if data else simulated_records(seed, quick, folder, progress)
+    samplings = sampled_boxes(logged.estimation, quick, progress)
     records = logged.at(min(samplings, key=lambda s: s.simulation).dt)
-    identified = _identify(records, samplings, quick, progress)
+    identified = identify(records, samplings, quick, progress)
     progress("envelopes of every record")
-    judged = _judge(identified, records)
+    judged = judge(identified, records)
     identified.lti.model.save(folder / "lti.json")
     for name, model in identified.models.items():
         model.save(folder / f"{name}.json")
@@ -187,150 +101,6 @@ def main(
     return path
 
 
-# ---- records --------------------------------------------------------------------------------------------------------
-
-
-def _simulate(seed: int, quick: bool, folder: Path, progress: Say) -> Records:
-    """Estimation records, the same experiments with the next seed, and the four curves; all written as CSV."""
-    wanted = [(name, name, seed, PERTURBED) for name in ESTIMATION]
-    wanted += [(name, f"{name}-2", seed + 1, PERTURBED) for name in (ESTIMATION[:1] if quick else ESTIMATION)]
-    wanted += [(name, name, seed + 1, CURVES[name]) for name in (QUICK_CURVES if quick else CURVES)]
-    drawn = []
-    for experiment, name, number, effects in wanted:
-        progress(f"simulating {name}, seed {number}")
-        drawn.append(_measured(experiment, name, number, effects))
-        write_csv(drawn[-1], folder / "records" / f"{name}.csv")
-    mass = _measured(ESTIMATION[0], "mass", seed, CURVES["curve4"])
-    write_csv(mass, folder / "records_mass" / "mass.csv")
-    estimation, held_out = Dataset(tuple(_known(e) for e in drawn)).split_records(ESTIMATION)
-    return Records(estimation, held_out, _known(mass), tuple(folder / "records" / f"{e.name}.csv" for e in drawn))
-
-
-def _measured(experiment: str, name: str, seed: int, effects: EffectSizes) -> Experiment:
-    return replace(measured(WELDING_ROBOT, experiment, seed, effects), name=name)
-
-
-def _known(e: Experiment) -> Experiment:
-    """Force and speed: the arm's angle is hidden from every model, as it is on the real robot's rail."""
-    return e.select((INPUT, OUTPUT)).with_roles(inputs=(INPUT,), outputs=(OUTPUT,))
-
-
-def _read(folder: Path) -> Records:
-    """A user's records: random excitation estimates where it is there by name, otherwise the first half by name."""
-    files = record_files(folder)
-    experiments = tuple(read(*files, inputs=(INPUT,), outputs=(OUTPUT,)))
-    for experiment in experiments:
-        check_units(experiment, {c.name: c.unit for c in (*WELDING_ROBOT.inputs, *WELDING_ROBOT.outputs)})
-    dataset = Dataset(tuple(_known(e) for e in experiments))
-    chosen, rest = split_estimation(dataset, RANDOM)
-    return Records(chosen, rest, files=tuple(files))
-
-
-def _at(dataset: Dataset, dt: float) -> Dataset:
-    return Dataset(tuple(e.resample(dt) for e in dataset))
-
-
-# ---- identification ---------------------------------------------------------------------------------------------------
-
-
-def _samplings(estimation: Dataset, quick: bool, progress: Say) -> tuple[Sampling, ...]:
-    """Widths at multiples of the sample time: a box at fast sampling reaches systems that hardly forget."""
-    multiples = MULTIPLES[-1:] if quick else MULTIPLES
-    kept = [q for q in multiples if min(len(e) for e in estimation) >= q * SHORTEST] or [1]
-    found = []
-    for q in kept:
-        progress(f"boxes at {q * estimation.dt:g} s")
-        dataset = _at(estimation, q * estimation.dt)
-        lti = bounded(LTI(resamples=0).fit(dataset), dataset, OUTPUT)
-        lines = cover(IntervalRegression(ARX(ORDER)).fit(dataset), dataset, "estimation")
-        one, free = (_mean_radius([c for c in lines if c.horizon == horizon]) for horizon in HORIZONS)
-        simulation = OutputErrorRegression(ARX(ORDER)).fit(dataset).modes[0].mean_radius
-        found.append(Sampling(dataset.dt, one, free, simulation, lti.one_step, lti.free_run))
-    return tuple(found)
-
-
-def _identify(records: Records, samplings: tuple[Sampling, ...], quick: bool, progress: Say) -> Identified:
-    seconds: dict[str, float] = {}
-    dataset = records.estimation
-
-    def timed(name: str, work: Callable[[], Any]) -> Any:
-        progress(f"{name}: identifying on {', '.join(dataset.names)} at {dataset.dt:g} s")
-        begin = time.perf_counter()
-        result = work()
-        seconds[name] = time.perf_counter() - begin
-        return result
-
-    lti = timed("LTI", lambda: bounded(LTI().fit(dataset), dataset, OUTPUT))
-    seconds[lti.name] = seconds.pop("LTI")
-    models: dict[str, IntervalModel] = {}
-    for name, method in (
-        ("one-box", IntervalRegression(ARX(ORDER))),
-        ("one-box-as-measured", IntervalRegression(ARX(ORDER), InclusionExact(), output_error=0.0, input_error=0.0)),
-        ("simulation-box", OutputErrorRegression(ARX(ORDER))),
-    ):
-        models[name] = timed(name, lambda method=method, name=name: replace(method, name=name).fit(dataset))
-    one = IntervalRegression(ARX(ORDER), name="modes")
-    steps, models["modes"] = timed("modes", lambda: _modes(one, models["one-box"], dataset, quick))
-    order = ("one-box", "modes", "one-box-as-measured", "simulation-box")
-    mass = _mass_modes(records.mass, quick) if records.mass else None
-    return Identified(lti, {name: models[name] for name in order}, seconds, samplings, steps, mass)
-
-
-def _modes(
-    method: IntervalRegression, one: IntervalModel, dataset: Dataset, quick: bool, *, merge: float | None = 0.1
-) -> tuple[tuple[Step, ...], IntervalModel]:
-    """Modes along time for tighter and tighter precisions, up to the first that cannot be met; the last one raised further."""
-    radius = one.modes[0].mean_radius  # the steps count stretches of time; only the model taken has like ones merged
-    steps, last, asked = [Step(one.precision, 1, radius)], one, one.precision
-    for share in TIGHTER[1::3] if quick else TIGHTER:
-        precision = math.exp(-share * radius / one.unit_range)
-        try:
-            found = replace(method, partition=InTime(precision, merge=None)).fit(dataset)
-        except InputError:  # no modes of this length are as narrow: the limit of this structure
-            break
-        steps.append(Step(precision, len(found.modes), _over_modes(found)))
-        last, asked = found, precision
-    if last is one:
-        return tuple(steps), replace(one, name=method.name)
-    raised = replace(method, partition=InTime(asked, tolerance=None if quick else TOLERANCE, merge=merge)).fit(dataset)
-    if not quick:
-        steps[-1] = replace(steps[-1], reached=raised.precision)
-    return tuple(steps), raised
-
-
-def _over_modes(model: IntervalModel) -> float:
-    """Mean radius over the samples of all modes [unit of y]."""
-    return float(np.average([m.mean_radius for m in model.modes], weights=[m.samples for m in model.modes]))
-
-
-def _mass_modes(record: Experiment, quick: bool) -> IntervalModel:
-    """Modes of the record on which only the mass changes. Nothing acts besides the force, so the constant is left out."""
-    method = IntervalRegression(ARX(ORDER, bias=False), name="mass")
-    dataset = Dataset((record,))
-    return _modes(method, method.fit(dataset), dataset, quick, merge=None)[1]
-
-
-def _judge(identified: Identified, records: Records) -> Judged:
-    lines: list[Coverage] = []
-    splits: tuple[tuple[Split, Dataset], ...] = (("estimation", records.estimation), ("held-out", records.held_out))
-    for split, dataset in splits:
-        lines += cover_bounded(identified.lti, dataset, split)
-        for model in identified.models.values():
-            lines += cover(model, dataset, split)
-    model = identified.lti.model
-    scores = score(model, records.estimation, "estimation", HORIZONS) + score(model, records.held_out, "held-out", HORIZONS)
-    violations = dict.fromkeys(identified.models, 0)
-    for line in lines:
-        promised = "free-run" if line.model == "simulation-box" else "one-step"
-        if line.split == "estimation" and line.model in violations and line.horizon == promised:
-            violations[line.model] += round((1.0 - line.coverage) * line.samples)
-    return Judged(tuple(lines), scores, violations)
-
-
-def _mean_radius(lines: list[Coverage]) -> float:
-    return pooled(lines, lambda line: line.mean_radius)
-
-
 def _inside(lines: list[Coverage]) -> float:
     """Percent of the measured values of all lines."""
     return 100.0 * pooled(lines, lambda line: line.coverage)
@@ -338,37 +108,6 @@ def _inside(lines: list[Coverage]) -> float:
 
 def _valid(lines: list[Coverage]) -> float:
     return 100.0 * pooled(lines, lambda line: line.valid)
-
-
-# ---- truth: the frozen robot --------------------------------------------------------------------------------------------
-
-
-def frozen_parameters(mass: float, dt: float) -> np.ndarray:
-    """alpha_1, alpha_2, beta_1, beta_0 (4,) of the robot with its platform held at `mass` [kg], sampled with a held force.
-
-    With the zero-order hold of [A B; 0 0] and D = q - 1:  D^2 v = -alpha_1 D v - alpha_2 v + beta_1 D u + beta_0 u.
-    """
-    p = WELDING_ROBOT.parameter_vector({"m1": mass})
-    A, B, C, _ = WELDING_ROBOT.linearize(*WELDING_ROBOT.equilibrium(p), p)
-    n = len(A)
-    block = np.zeros((n + 1, n + 1))
-    block[:n, :n], block[:n, n] = A * dt, B[:, WELDING_ROBOT.input_names.index(INPUT)] * dt
-    held = expm(block)
-    F, g, c = held[:n, :n] - np.eye(n), held[:n, n], C[0]  # in delta form D x = F x + g u
-    alpha_1, alpha_2 = -np.trace(F), np.linalg.det(F)
-    return np.array([alpha_1, alpha_2, c @ g, c @ (F + alpha_1 * np.eye(n)) @ g])
-
-
-def frozen_course(t: np.ndarray, dt: float, effects: EffectSizes) -> np.ndarray:
-    """The frozen parameters (len(t), 4) at the mass that the platform has at every instant t [s]."""
-    values = zip(WELDING_ROBOT.slots, WELDING_ROBOT.effect_vector(effects), strict=True)
-    size = {slot.parameter.name: value for slot, value in values if slot.key == MASS}
-    nominal = next(q.value for q in WELDING_ROBOT.parameters if q.name == "m1")
-    mass = nominal * (1.0 + size["change"] + size["swing"] * np.sin(2 * np.pi * t / size["period"]))
-    return np.array([frozen_parameters(m, dt) for m in mass])
-
-
-# ---- the answer -----------------------------------------------------------------------------------------------------
 
 
 def verdict(identified: Identified, judged: Judged, records: Records, quick: bool = False) -> str:
@@ -385,7 +124,7 @@ def verdict(identified: Identified, judged: Judged, records: Records, quick: boo
     )
     text += f"In a free run that box reaches {_width(free, one, unit)}"
     text += (
-        ", as wide as the speed moves: it says nothing there. " if _mean_radius(free) >= SAYS_NOTHING * one.unit_range else ". "
+        ", as wide as the speed moves: it says nothing there. " if mean_radius(free) >= SAYS_NOTHING * one.unit_range else ". "
     )
     box = judged.held("simulation-box", "free-run")
     text += (
@@ -399,8 +138,8 @@ def findings(identified: Identified, judged: Judged, records: Records) -> tuple[
     """Paragraphs: the box beside LTI plus bound, what modes buy, free runs, and what the numbers do not say."""
     lti, one = identified.lti, identified.models["one-box"]
     held = {name: {h: judged.held(name, h) for h in HORIZONS} for name in (lti.name, *identified.models)}
-    ratio = _mean_radius(held["one-box"]["one-step"]) / _mean_radius(held[lti.name]["one-step"])
-    own = _mean_radius(held["one-box-as-measured"]["one-step"]) / _mean_radius(held[lti.name]["one-step"])
+    ratio = mean_radius(held["one-box"]["one-step"]) / mean_radius(held[lti.name]["one-step"])
+    own = mean_radius(held["one-box-as-measured"]["one-step"]) / mean_radius(held[lti.name]["one-step"])
     beside = (
         f"One box of order {ORDER} at {one.dt:g} s is {ratio:.2g} times as wide as the bound around LTI, and {own:.2g} times if "
         "it promises, as that bound does, nothing but the measured values of the estimation records. "
@@ -422,7 +161,7 @@ def findings(identified: Identified, judged: Judged, records: Records) -> tuple[
 
 
 def _width(lines: list[Coverage], model: IntervalModel, unit: str) -> str:
-    width = _mean_radius(lines)
+    width = mean_radius(lines)
     return f"\N{PLUS-MINUS SIGN}{width:.3g} {unit} ({_percent(100 * width / model.unit_range)} % of the range)"
 
 
@@ -442,7 +181,7 @@ def _modes_said(identified: Identified, one: list[Coverage], modes: list[Coverag
     count = len(identified.models["modes"].modes)
     if count == 1:
         return "No precision tighter than that of one box can be met by modes along time. "
-    narrower = 100.0 * (1.0 - _mean_radius(modes) / _mean_radius(one))
+    narrower = 100.0 * (1.0 - mean_radius(modes) / mean_radius(one))
     inside = f"{_inside(modes):.1f} % inside instead of {_inside(one):.1f} %"
     return f"{count} modes along time make it {narrower:.0f} % narrower, {inside}. "
 
@@ -481,7 +220,7 @@ def _lines(identified: Identified, judged: Judged) -> list[Line]:
         model, widths = identified.models.get(name), []
         one, free = (judged.held(name, horizon) for horizon in HORIZONS)
         for lines in (one, free):
-            radius = _mean_radius(lines)
+            radius = mean_radius(lines)
             widths += [_inside(lines), radius, 100 * radius / identified.lti.unit_range]
         found.append(
             Line(
@@ -506,9 +245,6 @@ def _say_table(identified: Identified, judged: Judged, say: Say) -> None:
         violations = "-" if line.violations is None else line.violations
         row = f"{line.model:20}{''.join(widths)}{line.known:8.0f}%{violations:>12}{line.seconds:8.2f}s"
         say(row.replace("nan%", "  - ").replace("nan", "  -"))
-
-
-# ---- the page -------------------------------------------------------------------------------------------------------
 
 
 def _report(
@@ -607,47 +343,19 @@ def _mode_blocks(identified: Identified, records: Records, unit: str) -> list[Bl
     ]
     first = records.estimation.experiments[0]
     if identified.mass is not None and records.mass is not None:
-        blocks += _along_time(identified.mass, records.mass, CURVES["curve4"])
+        mass, e = identified.mass, records.mass
+        truth = frozen_course(e.t, e.dt, CURVES["curve4"])
+        along, parameters = along_time(mass, e, "while only the mass changes", truth)
+        note = (
+            "Truth: the robot frozen at its present mass, sampled with a held force. It lies within the intervals at "
+            f"{100 * truth_held(mass, e, truth):.0f} % of samples and parameters: a box is the narrowest that holds the outputs, "
+            "not a confidence region of each parameter, and a parameter with no width is one that the outputs did not ask to "
+            "move."
+        )
+        blocks += [along, replace(parameters, caption=f"{parameters.caption} {note}")]
     else:
-        blocks += _along_time(modes, first, None)
+        blocks += along_time(modes, first, f"on {first.name}")
     return [*blocks, domain_picture(modes, records.shown[0])]
-
-
-def _along_time(model: IntervalModel, e: Experiment, effects: EffectSizes | None) -> list[Block]:
-    """Modes of a record it was made from and their parameter intervals, with the frozen robot's where `effects` are known."""
-    spans = sorted(
-        (span.first, span.last, i) for i, mode in enumerate(model.modes) for span in mode.spans if span.record == e.name
-    )
-    k, index = np.arange(spans[0][0], spans[-1][1] + 1), np.array([i for *_, i in spans])
-    mode = np.concatenate([np.full(last - first + 1, i) for first, last, i in spans])
-    what = "while only the mass changes" if effects else f"on {e.name}"
-    measured = figures.Trace(e.channel(OUTPUT), e[OUTPUT][k])
-    short = [i for i, m in enumerate(model.modes) if m.short]
-    names = [f"mode {i}" for i in range(len(model.modes))]
-    along = figures.modes_along_time(f"Modes along time {what}", e.t[k], measured, mode, names, short)
-    edges = np.array([*(e.t[first] for first, *_ in spans), e.t[k[-1]]])
-    centre, radius = (np.array([getattr(m.box, a) for m in model.modes])[index] for a in ("centre", "radius"))
-    parameters = {name: figures.ParameterInterval(centre[:, j], radius[:, j]) for j, name in enumerate(model.form.names)}
-    title = f"Parameter intervals along time {what}"
-    if effects is None:
-        return [along, figures.parameters_along_time(title, edges, parameters)]
-    truth = frozen_course(e.t[k], e.dt, effects)
-    within = np.abs(truth - centre[_stretch(spans, k)]) <= radius[_stretch(spans, k)]
-    picture = figures.parameters_along_time(
-        title, edges, parameters, e.t[k], {name: truth[:, j] for j, name in enumerate(model.form.names)}
-    )
-    caption = (
-        f"{picture.caption} A parameter is named by its regressor. Truth: the robot frozen at its present mass, sampled with a "
-        f"held force. It lies within the intervals at {100 * np.mean(within):.0f} % of samples and parameters: a box is the "
-        "narrowest that holds the outputs, not a confidence region of each parameter, and a parameter with no width is one that "
-        "the outputs did not ask to move."
-    )
-    return [along, replace(picture, caption=caption)]
-
-
-def _stretch(spans: list[tuple[int, int, int]], k: np.ndarray) -> np.ndarray:
-    """The number of the stretch in which each sample lies."""
-    return np.searchsorted([first for first, *_ in spans], k, side="right") - 1
 
 
 def _sampling_table(identified: Identified, unit: str) -> Table:

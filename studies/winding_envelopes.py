@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from studies.bounded import bounded, cover_bounded
 from workbench.answers.envelopes import (
     described_modes,
     envelope_pictures,
@@ -17,6 +16,7 @@ from workbench.answers.envelopes import (
     width_picture,
 )
 from workbench.data import Dataset, Experiment
+from workbench.intervals.bounded import bounded, cover_bounded
 from workbench.intervals.coverage import Coverage, cover, pooled
 from workbench.intervals.model import IntervalModel
 from workbench.intervals.output_error import OutputErrorRegression

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from plants import WEB_WINDING
+from plants.web_winding import frozen_machine
 from studies.arguments import record_files, split_estimation
 from studies.experiments import measured
 from studies.winding_envelopes import Envelopes, envelope_section, identify_envelopes
@@ -453,23 +454,7 @@ def _or_nan(value: float | None) -> float:
     return np.nan if value is None else value
 
 
-# ---- truth: the frozen machine ----------------------------------------------------------------------------------------
-
-
-def frozen_machine(r2: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C of the sampled machine (40 ms, zero-order hold) with both radii held, from V1, V2 to w3."""
-    from scipy.linalg import expm
-
-    p = {q.name: q.value for q in WEB_WINDING.parameters}
-    r1 = np.sqrt(p["r_full"] ** 2 + p["r_core"] ** 2 - r2**2)  # what is on one reel is missing on the other
-    A, B, C, _ = WEB_WINDING.linearize(*WEB_WINDING.equilibrium(r1=r1, r2=r2))
-    fast = [i for i, name in enumerate(WEB_WINDING.state_names) if name not in ("r1", "r2")]
-    A, B, C = A[np.ix_(fast, fast)], B[fast], C[[WEB_WINDING.output_names.index(OUTPUT)]][:, fast]
-    n, m = len(fast), B.shape[1]
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = A * WEB_WINDING.dt, B * WEB_WINDING.dt
-    held = expm(block)
-    return held[:n, :n], held[:n, n:], C
+# ---- the truth of the coefficients ----------------------------------------------------------------------------------------
 
 
 def true_coefficients(r2: np.ndarray, order: int, u: np.ndarray, noise: float) -> np.ndarray:

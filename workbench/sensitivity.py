@@ -17,7 +17,8 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import record
-from workbench.sweeps import LEVELS, Rows, Sweep
+from workbench.sweeps.design import LEVELS, Sweep
+from workbench.sweeps.rows import Rows
 
 SURE = 0.95
 

@@ -20,16 +20,33 @@ from workbench.physics.controller import Loop
 from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_file, write_csv
+from workbench.records import record
 
 DURATION = 60.0  # s, of a loop that holds its set-points
 
 
+@record
+class Ran:
+    """One run, with the effects that acted; measured: the record whose inputs drove it, where it was one."""
+
+    done: Any
+    effects: EffectSizes
+    measured: Experiment | None = None
+
+
+@record
+class Setup:
+    """What runs: the plant that was chosen, its changed numbers and effects, and the law of the user's own, if any."""
+
+    chosen: Chosen
+    effects: EffectSizes
+    parameters: dict[str, float]
+    start: dict[str, float]
+    law: Any = None
+
+
 def run(options: Namespace) -> int:
     """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and states/<record>.csv."""
-    from studies.experiments import EXPERIMENTS, plan
-    from workbench.simulation import replay
-    from workbench.simulation import simulate as run_plant
-
     if options.replay:
         from studies.replays import run as run_replay
 
@@ -39,9 +56,29 @@ def run(options: Namespace) -> int:
     if options.seed is None:
         options.seed = 0
     found = choose_plant(options.plant)
-    plant, machine = found.plant, found.machine
-    effects, parameters = parse_effects(options.effect), parse_numbers(options.parameter)
-    start = parse_numbers(options.start)
+    setup = Setup(found, parse_effects(options.effect), parse_numbers(options.parameter), parse_numbers(options.start))
+    _check_runs(options, found)
+    controller = choose_controller(options.controller, found.base) if options.controller else None
+    setup = replace(setup, law=controller.law if controller else None)
+    _check_law(options, setup)
+    held = _held(options, setup) if options.setpoint or options.limits else None
+    folder = run_folder(options.out, "simulate")
+
+    summary = [_written(setup, _planned(options, setup, name), folder) for name in options.experiment]
+    summary += [_written(setup, _replayed(setup, path), folder, Path(path)) for path in options.inputs_from]
+    summary += [_written(setup, Ran(held, setup.effects), folder)] if held is not None else []
+    read_files = [*options.inputs_from, *found.files, *(controller.files if controller else ()), *filter(None, [options.limits])]
+    result = {"runs": summary, "provenance": provenance(_configuration(options, setup), read_files, options.seed)}
+    write_json(folder / "simulate.json", result)
+    if options.json:
+        write_json(options.json, result)
+    return 0
+
+
+def _check_runs(options: Namespace, found: Chosen) -> None:
+    """Refuse options of runs that do not go together, and none at all."""
+    from studies.experiments import EXPERIMENTS
+
     chosen = options.experiment
     if chosen and options.inputs_from:
         raise InputError("--experiment and --inputs-from exclude each other", mend="give one of the two")
@@ -49,72 +86,92 @@ def run(options: Namespace) -> int:
         if chosen.count(name) > 1:
             raise InputError(f"experiment {name} is named twice", mend="name it once, or run again with another --seed")
     _check_setpoint(options)
-    other = "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
-    closed = options.setpoint or options.limits
-    if not chosen and not options.inputs_from and not closed:
-        own = EXPERIMENTS.get(machine, {})
+    if not (chosen or options.inputs_from or options.setpoint or options.limits):
+        own = EXPERIMENTS.get(found.machine, {})
         known = f"--experiment {' | '.join(own)}, or " if own else ""
-        raise InputError("which experiment?", mend=f"give {known}{other}")
-    controller = choose_controller(options.controller, found.base) if options.controller else None
-    own_law = controller.law if controller else None
-    if own_law and options.inputs_from:
+        raise InputError("which experiment?", mend=f"give {known}{_other(options)}")
+
+
+def _check_law(options: Namespace, setup: Setup) -> None:
+    """Refuse a law where no loop is closed, and experiments of a plant that has none."""
+    from studies.experiments import EXPERIMENTS
+
+    if setup.law and options.inputs_from:
         mend = "a replay has no loop to close; --setpoint Y=V,.. runs the loop"
         raise InputError("--controller and --inputs-from exclude each other", mend=mend)
-    if chosen and machine not in EXPERIMENTS:
-        raise InputError(f"plant {plant.name!r} has no experiment plan", mend=f"give {other}")
-    held: Any = _held(options, found, own_law, effects, parameters, start) if closed else None
-    folder = run_folder(options.out, "simulate")
+    if options.experiment and setup.chosen.machine not in EXPERIMENTS:
+        problem = f"plant {setup.chosen.plant.name!r} has no experiment plan"
+        raise InputError(problem, mend=f"give {_other(options)}")
 
-    summary: list[dict[str, Any]] = []
-    jobs = [("plan", name) for name in chosen] + [("record", path) for path in options.inputs_from]
-    jobs += [("closed loop", held.experiment.name)] if closed else []
-    for kind, name in jobs:
-        if kind == "plan":
-            todo = plan(machine, name)
-            scenario = todo.scenario(options.seed)
-            scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
-            applied = todo.effects_with(effects)
-            law = own_law or todo.controller
-            done = run_plant(plant, law, scenario, parameters=parameters, effects=applied, bumpless=own_law is not None)
-        elif kind == "closed loop":
-            applied = effects
-            done = held
-        else:
-            record = check_units(read_file(name), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
-            applied = effects
-            done = replay(plant, record, start=start, parameters=parameters, effects=applied)
-        path = folder / f"{done.experiment.name}.csv"
-        if kind == "record" and path.resolve() == Path(name).resolve():
-            raise InputError("the simulated record would overwrite the measured one", file=path, mend="choose another --out")
-        write_csv(done.experiment, path)
-        if done.states is not None:
-            write_csv(done.states, folder / "states" / f"{done.experiment.name}.csv")  # apart: the folder is a set of records
-        say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
-        entry: dict[str, Any] = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": applied}
-        if kind == "record":
-            entry["scores"] = _replay_scores(plant, record, done.experiment)
-        elif own_law:
-            entry["tracking"] = _loop_scores(own_law, done.experiment)
-            entry["at_limit"] = _at_limits(own_law, done.experiment)
-            schedule = own_law.schedule
-            known = schedule and hasattr(own_law, "outside")
-            if known and (beyond := own_law.outside(done.experiment[schedule])) > MUCH:
-                say(f"  {schedule} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
-            if done.memories and hasattr(done.memories[0], "status"):
-                entry["statuses"] = _statuses(done.memories)
-        summary.append(entry)
-    configuration = {
-        "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
-        "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration, "limits": options.limits,
-        "effects_of_plant": plant.effects,
-        "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
+
+def _other(options: Namespace) -> str:
+    """What may be run besides experiments of a plan."""
+    return "--setpoint Y=V,.. for the controller to hold" if options.controller else "--inputs-from RECORD"
+
+
+def _planned(options: Namespace, setup: Setup, name: str) -> Ran:
+    """An experiment of the plan, under the law of the user's own or that of the plan."""
+    from studies.experiments import plan
+    from workbench.simulation import simulate
+
+    todo = plan(setup.chosen.machine, name)
+    scenario = todo.scenario(options.seed)
+    scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=setup.start)
+    applied, own = todo.effects_with(setup.effects), setup.law
+    done = simulate(
+        setup.chosen.plant, own or todo.controller, scenario, parameters=setup.parameters, effects=applied,
+        bumpless=own is not None,
+    )  # fmt: skip
+    return Ran(done, applied)
+
+
+def _replayed(setup: Setup, path: str) -> Ran:
+    """The plant driven by the inputs of a record."""
+    from workbench.simulation import replay
+
+    plant = setup.chosen.plant
+    measured = check_units(read_file(path), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
+    done = replay(plant, measured, start=setup.start, parameters=setup.parameters, effects=setup.effects)
+    return Ran(done, setup.effects, measured)
+
+
+def _written(setup: Setup, ran: Ran, folder: Path, source: Path | None = None) -> dict[str, Any]:
+    """The record and states of a run as files, and what simulate.json says of it; source: the file of the measured record."""
+    done, plant = ran.done, setup.chosen.plant
+    path = folder / f"{done.experiment.name}.csv"
+    if source is not None and path.resolve() == source.resolve():
+        raise InputError("the simulated record would overwrite the measured one", file=path, mend="choose another --out")
+    write_csv(done.experiment, path)
+    if done.states is not None:
+        write_csv(done.states, folder / "states" / f"{done.experiment.name}.csv")  # apart: the folder is a set of records
+    say(f"{done.experiment.name}: {len(done.experiment)} samples at {plant.dt:g} s -> {path}")
+    entry = {"record": done.experiment.name, "file": str(path), "substeps": done.substeps, "effects": ran.effects}
+    if ran.measured is not None:
+        return entry | {"scores": _replay_scores(plant, ran.measured, done.experiment)}
+    return entry | _followed(setup.law, done) if setup.law else entry
+
+
+def _followed(law: Any, done: Any) -> dict[str, Any]:
+    """How the law of the user's own did in a run: tracking, time at limits, and what its solver said."""
+    found: dict[str, Any] = {"tracking": _loop_scores(law, done.experiment), "at_limit": _at_limits(law, done.experiment)}
+    schedule = law.schedule
+    known = schedule and hasattr(law, "outside")
+    if known and (beyond := law.outside(done.experiment[schedule])) > MUCH:
+        say(f"  {schedule} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
+    if done.memories and hasattr(done.memories[0], "status"):
+        found["statuses"] = _statuses(done.memories)
+    return found
+
+
+def _configuration(options: Namespace, setup: Setup) -> dict[str, Any]:
+    from studies.experiments import plan
+
+    return {
+        "plant": options.plant, "effects": setup.effects, "parameters": setup.parameters, "start": setup.start,
+        "quiet": options.quiet, "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration,
+        "limits": options.limits, "effects_of_plant": setup.chosen.plant.effects,
+        "effects_of_experiments": {name: plan(setup.chosen.machine, name).effects for name in options.experiment},
     }  # fmt: skip
-    read_files = [*options.inputs_from, *found.files, *(controller.files if controller else ()), *filter(None, [options.limits])]
-    result = {"runs": summary, "provenance": provenance(configuration, read_files, options.seed)}
-    write_json(folder / "simulate.json", result)
-    if options.json:
-        write_json(options.json, result)
-    return 0
 
 
 def _check_setpoint(options: Namespace) -> None:
@@ -130,40 +187,64 @@ def _check_setpoint(options: Namespace) -> None:
         raise InputError(f"{own} goes with no other run", mend="give one of --experiment, --inputs-from, --setpoint and --limits")
 
 
-def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, parameters, start) -> Any:
+def _held(options: Namespace, setup: Setup) -> Any:
     """The controller holding its set-points, on a plant or on an identified model once along its whole schedule; or following
     those of a file of limits, on a plant.
     """
-    from workbench.lpv import load_model
-    from workbench.rehearsal import check_setpoint, hold
-    from workbench.robustness.limits import load_limits
-    from workbench.simulation import Scenario
-    from workbench.simulation import simulate as run_plant
+    from workbench.simulation import simulate
 
+    if not options.limits and setup.chosen.model is not None:
+        return _on_model(options, setup)
+    scenario = _of_limits(options, setup) if options.limits else _at_setpoint(options, setup)
+    plant, law = setup.chosen.plant, setup.law
+    return simulate(plant, law, scenario, parameters=setup.parameters, effects=setup.effects, bumpless=True)
+
+
+def _of_limits(options: Namespace, setup: Setup) -> Any:
+    """The run that a file of limits describes."""
+    from workbench.robustness.limits import load_limits
+
+    run = load_limits(options.limits).run
+    if run is None:
+        raise InputError("[run] is missing", file=options.limits, mend="give its duration and set-points")
+    if setup.chosen.model is not None:
+        raise InputError("--limits runs on a plant", mend="on a model: --setpoint Y=V,..")
+    if run.initial:
+        mend = "it is of the proofs of check on a model; a plant begins as [run.start] says"
+        raise InputError("[run.initial]", file=options.limits, mend=mend)
+    scenario = run.scenario(setup.chosen.plant, setup.law)
     seed = None if options.quiet else options.seed
-    if options.limits:
-        run = load_limits(options.limits).run
-        if run is None:
-            raise InputError("[run] is missing", file=options.limits, mend="give its duration and set-points")
-        if found.model is not None:
-            raise InputError("--limits runs on a plant", mend="on a model: --setpoint Y=V,..")
-        if run.initial:
-            mend = "it is of the proofs of check on a model; a plant begins as [run.start] says"
-            raise InputError("[run.initial]", file=options.limits, mend=mend)
-        scenario = run.scenario(found.plant, law)
-        scenario = replace(scenario, seed=seed, start={**scenario.start, **start})
-    else:
-        setpoint = parse_numbers(part for text in options.setpoint for part in names(text))
-        samples = max(2, round((options.duration or DURATION) / found.plant.dt))
-        if found.model is not None:
-            if effects or parameters or start:
-                raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
-            record = hold(load_model(found.model), law, setpoint, samples, seed)
-            return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
-        check_setpoint(law, setpoint)
-        references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=False)}
-        scenario = Scenario("setpoint", references, seed, start)
-    return run_plant(found.plant, law, scenario, parameters=parameters, effects=effects, bumpless=True)
+    return replace(scenario, seed=seed, start={**scenario.start, **setup.start})
+
+
+def _setpoint(options: Namespace, setup: Setup) -> tuple[dict[str, float], int]:
+    """The set-points of --setpoint by output, and the samples for which they are held."""
+    setpoint = parse_numbers(part for text in options.setpoint for part in names(text))
+    return setpoint, max(2, round((options.duration or DURATION) / setup.chosen.plant.dt))
+
+
+def _at_setpoint(options: Namespace, setup: Setup) -> Any:
+    """Constant set-points for the plant."""
+    from workbench.rehearsal import check_setpoint
+    from workbench.simulation import Scenario
+
+    law, (setpoint, samples) = setup.law, _setpoint(options, setup)
+    check_setpoint(law, setpoint)
+    references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=False)}
+    return Scenario("setpoint", references, None if options.quiet else options.seed, setup.start)
+
+
+def _on_model(options: Namespace, setup: Setup) -> Any:
+    """Constant set-points for an identified model, whose schedule runs once along its whole range."""
+    from workbench.lpv import load_model
+    from workbench.rehearsal import hold
+
+    setpoint, samples = _setpoint(options, setup)
+    if setup.effects or setup.parameters or setup.start:
+        raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
+    seed = None if options.quiet else options.seed
+    record = hold(load_model(str(setup.chosen.model)), setup.law, setpoint, samples, seed)
+    return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
 
 
 def _at_limits(law: Any, run: Experiment) -> dict[str, float]:

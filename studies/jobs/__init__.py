@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from studies.jobs import closed_loop, detection, identification, pid_design
-from workbench.sweeps import Job, Sweep
+from workbench.sweeps.design import Sweep
+from workbench.sweeps.job import Job
 
 JOBS: dict[str, Callable[[Sweep, Path, Namespace], Job]] = {
     "closed-loop": closed_loop.from_file,

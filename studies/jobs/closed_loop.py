@@ -24,7 +24,8 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.limits import RUN, Manoeuvre, manoeuvre
 from workbench.simulation import LeftRangeError, Scenario, lost_command, simulate, simulate_batch
-from workbench.sweeps import Point, StoppedError, Sweep
+from workbench.sweeps.design import Point, Sweep
+from workbench.sweeps.job import StoppedError
 from workbench.toml import Table
 
 FIXED = ("plant", "controller", "run", "noise")

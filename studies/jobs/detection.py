@@ -12,7 +12,7 @@ from studies.jobs.recorded import RECORDING, OneByOne, Recorded, Setting, check_
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.errors import InputError, check_known
 from workbench.records import record
-from workbench.sweeps import Point, Sweep
+from workbench.sweeps.design import Point, Sweep
 from workbench.toml import Table
 
 KNOWN = RECORDING | {"size": Setting(0.0, low=-1e300)}

@@ -19,7 +19,7 @@ from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import fit, score
 from workbench.records import record
 from workbench.simulation import replay
-from workbench.sweeps import Point, Sweep
+from workbench.sweeps.design import Point, Sweep
 from workbench.toml import Table
 
 INTERVAL = "interval"

@@ -16,7 +16,7 @@ from workbench.identification.ssm import SSM
 from workbench.records import record
 from workbench.robustness.frozen import DEFAULT, Bounds
 from workbench.robustness.limits import Manoeuvre
-from workbench.sweeps import Point, Sweep
+from workbench.sweeps.design import Point, Sweep
 from workbench.toml import Table
 
 KNOWN = RECORDING | {

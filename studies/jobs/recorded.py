@@ -15,7 +15,7 @@ from workbench.errors import InputError, check_known
 from workbench.physics.parameters import EffectSizes
 from workbench.physics.plant import Plant
 from workbench.records import field, record
-from workbench.sweeps import Factor, Point
+from workbench.sweeps.design import Factor, Point
 from workbench.toml import Table
 
 Value = float | str

@@ -136,12 +136,12 @@ def test_condensing_alone():
     controller = law()
     z, last, r, rho = next(cases(controller))
     along = module._Along(controller, controller._path(rho, 1e-3))
-    rest = (np.zeros((N, 7)), np.zeros((N + 1, 2)), z[:7].copy(), np.tile(r, (N + 1, 1)), last, np.zeros(7), np.zeros(2))
+    rest = (np.zeros((N, 7)), np.zeros((N + 1, 2)), z[:7].copy(), np.tile(r, (N + 1, 1)), last, (np.zeros(7), np.zeros(2)))
     weights = (controller._Q, controller._S, controller._R, controller.terminal_cost(rho))
     seconds = []
     for _ in range(2000):
         begin = time.perf_counter()
-        condense(along.M, 7, 2, 2, *rest, *weights)
+        condense(along.M, *rest, weights)
         seconds.append(time.perf_counter() - begin)
     print(f"\ncondensing: median {np.median(seconds) * 1e6:.0f} us")
 

@@ -13,7 +13,8 @@ from plants import WEB_WINDING
 from studies.experiments import EXPERIMENTS
 from workbench.data import Dataset
 from workbench.identification.sparse import L2, LInf
-from workbench.identification.ssm import SSM, RawSignals, UnitColumns, _Problem
+from workbench.identification.ssm import SSM, RawSignals, UnitColumns
+from workbench.identification.ssm.regression import Problem
 from workbench.simulation import simulate
 
 pytestmark = pytest.mark.bench
@@ -37,7 +38,7 @@ def records():
 @pytest.fixture(scope="module")
 def regression(records):
     """Psi (4474, 312) with unit columns, and Y."""
-    Psi, Y = _Problem(SSM(order=13, operating_point=RawSignals()), records).regression(13)
+    Psi, Y = Problem(SSM(order=13, operating_point=RawSignals()), records).regression(13)
     Psi = Psi[:, np.any(Psi != 0, axis=0)]  # without a feed-through the columns of u(k) are empty
     return Psi / UnitColumns().scale(Psi), Y[:, 0]
 

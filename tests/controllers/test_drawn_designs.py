@@ -9,7 +9,7 @@ from scipy import signal
 
 from controllers.pid import pid
 from controllers.pid_design import FrozenPoint, design_pid
-from controllers.tuning import tune
+from controllers.tuning import Tuning, tune
 from tests.controllers.drawn import (
     COMPLEMENTARY,
     EFFORT,
@@ -146,9 +146,9 @@ def test_a_step_that_loses_the_loop_is_never_taken():
         return np.stack([np.ones_like(z), 1.0 / (z - 1.0)], axis=-1)
 
     omega = np.array([1e-4, 1e-3, 1e-2, 0.1, 0.2, 0.4, 1.4, 2.0, 3.0])
-    found = tune([plant], np.ones((1, 1)), parts, omega, Bounds(2.0, 2.0, 5.0), closed=closed)
+    found = tune(Tuning([plant], np.ones((1, 1)), parts, omega, Bounds(2.0, 2.0, 5.0), closed=closed))
     for X in found.path:
         assert np.abs(point.poles(X[0, 0], X[1, 0], np.zeros((1, 1)), 0.0)).max() < 1.0
-    blind = tune([plant], np.ones((1, 1)), parts, omega, Bounds(2.0, 2.0, 5.0))
+    blind = tune(Tuning([plant], np.ones((1, 1)), parts, omega, Bounds(2.0, 2.0, 5.0)))
     lost = np.abs(point.poles(blind.X[0, 0], blind.X[1, 0], np.zeros((1, 1)), 0.0)).max()
     assert lost > 1.0  # the frequencies alone do lose it: the poles are what keeps it

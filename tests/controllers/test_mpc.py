@@ -85,7 +85,7 @@ def test_the_condensed_program_is_the_cost_of_the_prediction():
     M, c, g = random.normal(size=(N + 1, nx * (nx + nu + ny))) * 0.4, random.normal(size=(N, nx)), random.normal(size=(N + 1, ny))
     x0, r, last, xt, ut = (random.normal(size=n) for n in (nx, (N + 1, ny), nu, nx, nu))
     Q, S, R, P = (V @ V.T for V in (random.normal(size=(n, n)) for n in (ny, nu, nu, nx + nu)))
-    H, f, Y, y_free = condense(M, nx, nu, ny, c, g, x0, r, last, xt, ut, Q, S, R, P)
+    H, f, Y, y_free = condense(M, c, g, x0, r, last, (xt, ut), (Q, S, R, P))
     np.testing.assert_allclose(H, H.T, atol=1e-10)
 
     def simulated(U):

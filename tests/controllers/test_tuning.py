@@ -8,7 +8,7 @@ from scipy.optimize import brute
 
 from controllers.pid import pid
 from controllers.scheduled_pid import parts
-from controllers.tuning import cones, tune
+from controllers.tuning import Tuning, cones, tune
 from workbench.errors import InputError
 from workbench.robustness.frozen import Bounds
 from workbench.robustness.semidefinite import conic
@@ -68,7 +68,7 @@ def test_the_published_mimo_example():
     Printed: |(P(0) Ki)^-1| = 2.25, and the gains to four digits.
     """
     plant, omega = WoodBerry(), np.geomspace(1e-3, 1e3, 300)
-    found = tune([plant], np.ones((1, 1)), continuous, omega, Bounds(1.4, 1.4, 3.0, "output"))
+    found = tune(Tuning([plant], np.ones((1, 1)), continuous, omega, Bounds(1.4, 1.4, 3.0, "output")))
     assert 1.0 / found.low_frequency[0] == pytest.approx(2.25, abs=0.006)
     Kp, Ki, Kd = found.X[:, 0]
     np.testing.assert_allclose(Kp, [[0.1750, -0.0470], [-0.0751, -0.0709]], atol=5e-4)
@@ -86,7 +86,7 @@ def test_the_published_mimo_example():
 def test_the_published_decentralised_example_is_reached_or_beaten():
     """The same with diagonal gains; printed Ki = diag(0.0210, -0.0136): a local optimum, and ours may not be a worse one."""
     plant, omega = WoodBerry(), np.geomspace(1e-3, 1e3, 150)
-    found = tune([plant], np.ones((1, 1)), continuous, omega, Bounds(1.4, 1.4, 3.0, "output"), allowed=np.eye(2))
+    found = tune(Tuning([plant], np.ones((1, 1)), continuous, omega, Bounds(1.4, 1.4, 3.0, "output"), allowed=np.eye(2)))
     printed = np.linalg.svd(plant.gain @ np.diag([0.0210, -0.0136]), compute_uv=False)[-1]
     assert found.low_frequency[0] >= 0.99 * printed
     assert (found.X[:, 0][:, [0, 1], [1, 0]] == 0.0).all()
@@ -106,7 +106,7 @@ def test_one_loop_reaches_what_brute_force_reaches():
     """A PI for a first-order plant with a delay: the largest Ki with |S| <= 1.4 over a fine grid of all (Kp, Ki)."""
     plant, omega = Sampled(first_order()), np.linspace(1e-3, 0.9999, 400) * np.pi / 0.1
     bounds = Bounds(1.4, 5.0, 1e3)
-    found = tune([plant], np.ones((1, 1)), discrete(0.1), omega, bounds)
+    found = tune(Tuning([plant], np.ones((1, 1)), discrete(0.1), omega, bounds))
     P, (one, integral) = plant.response(omega)[:, 0, 0], discrete(0.1)(omega).T
 
     def cost(gains):
@@ -121,11 +121,11 @@ def test_it_is_robust_to_every_plant_of_the_list():
     omega = np.linspace(1e-3, 0.9999, 200) * np.pi / 0.1
     slow, fast = Sampled(first_order()), Sampled(first_order(gain=4.0, delay=5))
     bounds = Bounds(1.5, 1.5, 20.0, "output")
-    alone = tune([slow], np.ones((1, 1)), discrete(0.1), omega, bounds)
+    alone = tune(Tuning([slow], np.ones((1, 1)), discrete(0.1), omega, bounds))
     # half the gains that leave |S| small at every frequency belong to unstable loops: a high gain with the sign turned
     assert 1.0 < alone.low_frequency[0] < 2.0
     assert norms(fast, alone.X, omega, discrete(0.1))[0] > 2.0  # what suits the one breaks the other
-    both = tune([slow, fast], np.ones((2, 1)), discrete(0.1), omega, bounds)
+    both = tune(Tuning([slow, fast], np.ones((2, 1)), discrete(0.1), omega, bounds))
     for plant in (slow, fast):
         assert norms(plant, both.X, omega, discrete(0.1))[0] <= 1.5
     assert both.low_frequency[0] < alone.low_frequency[0]
@@ -137,11 +137,11 @@ def test_a_surface_brings_every_point_near_what_it_reaches_alone():
     plants = [Sampled(first_order(gain=g)) for g in rho]
     omega = np.linspace(1e-3, 0.9999, 200) * np.pi / 0.1
     bounds = Bounds(1.5, 1.5, 20.0)
-    goals = np.array([tune([p], np.ones((1, 1)), discrete(0.1), omega, bounds).low_frequency[0] for p in plants])
+    goals = np.array([tune(Tuning([p], np.ones((1, 1)), discrete(0.1), omega, bounds)).low_frequency[0] for p in plants])
     np.testing.assert_allclose(goals, goals[0], rtol=2e-3)  # t is P(0) Ki: the gain drops out
-    surface = tune(plants, 1.0 / rho[:, None], discrete(0.1), omega, bounds, goals=goals)
+    surface = tune(Tuning(plants, 1.0 / rho[:, None], discrete(0.1), omega, bounds, goals=goals))
     assert surface.steps[-1] == pytest.approx(1.0, abs=5e-3)
-    constant = tune(plants, np.ones((4, 1)), discrete(0.1), omega, bounds, goals=goals)
+    constant = tune(Tuning(plants, np.ones((4, 1)), discrete(0.1), omega, bounds, goals=goals))
     assert constant.steps[-1] < 0.45
 
 
@@ -152,7 +152,7 @@ def test_bounds_are_kept_and_the_loop_is_stable_on_drawn_plants(seed):
     omega = np.concatenate([np.geomspace(1e-4, 0.05, 20), np.linspace(0.06, 0.9999, 40)]) * np.pi / dt
     A = np.diag(random.uniform(0.3, 0.95, 4))
     plant = Sampled(control.ss(A, random.normal(size=(4, 2)), random.normal(size=(2, 4)), np.zeros((2, 2)), dt))
-    found = tune([plant], np.ones((1, 1)), lambda w: parts(w, dt, 0.2), omega, Bounds(1.6, 1.6, 5.0, "output"))
+    found = tune(Tuning([plant], np.ones((1, 1)), lambda w: parts(w, dt, 0.2), omega, Bounds(1.6, 1.6, 5.0, "output")))
     dense = np.linspace(1e-3, 0.9999, 3000) * np.pi / dt
     assert norms(plant, found.X, dense, lambda w: parts(w, dt, 0.2))[0] <= 1.65
     law = pid(("a", "b"), ("c", "d"), ("r", "s"), dt, *found.X[:, 0], Tf=0.2).at()
@@ -164,10 +164,10 @@ def test_what_cannot_be_designed_is_refused():
     omega = np.geomspace(1e-3, 30.0, 50)
     singular = Sampled(control.ss([[0.5]], [[1.0, 2.0]], [[1.0], [3.0]], np.zeros((2, 2)), 0.1))
     with pytest.raises(InputError, match=r"steady gains at 0\.5 cannot move every output on its own"):
-        tune([singular], np.ones((1, 1)), discrete(0.1), omega)
+        tune(Tuning([singular], np.ones((1, 1)), discrete(0.1), omega))
     up, down = Sampled(first_order()), Sampled(first_order(gain=-2.0))
     with pytest.raises(InputError, match="no integral action of this structure suits every plant"):
-        tune([up, down], np.ones((2, 1)), discrete(0.1), omega)
+        tune(Tuning([up, down], np.ones((2, 1)), discrete(0.1), omega))
     with pytest.raises(InputError, match="broken at the 'middle'"):
         Bounds(broken="middle")
 

@@ -29,10 +29,11 @@ from workbench.report.page import write_report
 from workbench.robustness.falsify.box import fitted_box, tolerance_box
 from workbench.robustness.falsify.counterexample import load_counterexample
 from workbench.robustness.falsify.search import worst_plant
+from workbench.robustness.falsify.trials import Search
 from workbench.robustness.limits import Limit, Manoeuvre, load_limits
 from workbench.robustness.margins import margin
 from workbench.robustness.sequences import Growth, load_sequence
-from workbench.sweeps import load_sweep
+from workbench.sweeps.design import load_sweep
 
 CSV = b"t [s],V1 [V],w3 [rad/s],r2 [m]\n" + b"".join(
     b"%.2f,%.3f,%d,0.0%d\n" % (0.04 * k, 0.1 * k, 90 + k, 11 + k) for k in range(12)
@@ -113,7 +114,7 @@ def targets(folder: Path) -> dict[str, Target]:
     robot = PLANTS["welding-robot"]
     law = pid(("u",), ("v",), ("v_set",), 0.02, Kp=[[6.0]], Ki=[[8.0]], low=(-4.0,), high=(4.0,))
     scenario = Manoeuvre(0.2, {"v": ((0.0, 0.4),)}, seed=3).scenario(robot, law)
-    worst = worst_plant(robot, law, scenario, [Limit("v", high=0.01)], tolerance_box(robot)[:2], runs=4, seed=1)
+    worst = worst_plant(Search(robot, law, scenario, [Limit("v", high=0.01)], tolerance_box(robot)[:2], runs=4, seed=1))
     lost = worst.counterexample("welding-robot", {"schema": "x"})
     interval = {"nominal": 0.3, "value": 0.4, "low": 0.35, "high": 0.45}
     cause = {"effect": "coulomb", "at": "rail", "parameters": {"level": {"value": 0.2, "low": 0.1, "high": 0.3, "unit": "N"}}}

@@ -6,8 +6,11 @@ import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete
 
 from plants.welding_robot import WELDING_ROBOT as ROBOT
+from plants.welding_robot import frozen_course, frozen_parameters
+from studies.experiments import CURVES
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
@@ -185,3 +188,17 @@ def test_a_linearisation_without_the_arm_is_refused():
 def test_an_arm_that_is_no_input_is_refused():
     with pytest.raises(InputError, match="did you mean 'arm'"):
         replace(ROBOT, ports=(Robot("rail", "arms"),))
+
+
+def test_frozen_parameters_are_those_of_the_published_transfer_function():
+    """G(s) = (s + 2.3)/(s^2 + 6.6 s + 1.67) sampled with a held input, [2] (9), in delta form."""
+    b, a, _ = cont2discrete(([1.0, 2.3], [1.0, 6.6, 1.67]), 0.1)
+    delta = [2 + a[1], 1 + a[1] + a[2], b[0, 1], b[0, 1] + b[0, 2]]
+    np.testing.assert_allclose(frozen_parameters(1.0, 0.1), delta, rtol=1e-10)
+
+
+def test_the_course_of_the_truth_follows_the_mass():
+    """Curve 4 starts at twice the mass; a quarter of the period later it is at 2.4 times."""
+    course = frozen_course(np.array([0.0, 2.5]), 0.1, CURVES["curve4"])
+    np.testing.assert_allclose(course[0], frozen_parameters(2.0, 0.1))
+    np.testing.assert_allclose(course[1], frozen_parameters(2.4, 0.1))

@@ -14,9 +14,9 @@ from plants import PLANTS, WEB_WINDING, WELDING_ROBOT
 from studies import controller_comparison as study
 from studies.experiments import web_winding_loops
 from studies.loops import HEAVY, Bench, Case, benches
-from studies.table import made, whole_rows
 from workbench.errors import InputError
 from workbench.simulation import LeftRangeError, simulate
+from workbench.table import made, whole_rows
 
 pytestmark = pytest.mark.slow
 

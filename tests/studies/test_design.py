@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from controllers.files import load_controller, save_controller
+from controllers.pictures import _step
 from controllers.pid import pid
 from controllers.pid_design import design_pid
 from controllers.scheduled_pid import BackCalculation, Clamping, Gains
 from plants import WEB_WINDING
 from studies.cli import main
-from studies.design import _limits, _step
+from studies.design import _limits
 from studies.experiments import plan, web_winding_loops
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError

@@ -8,7 +8,7 @@ import pytest
 from scipy.io import savemat
 
 from plants import POSITIONING_AXIS
-from studies import STUDIES, emps
+from studies import STUDIES, emps, emps_laws
 from studies.cli import main
 from workbench.data import Dataset, Experiment
 from workbench.diagnosis.diagnosis import diagnose
@@ -34,46 +34,48 @@ def simulated():
     t = 0.001 * np.arange(8000)
     force = 60.0 * np.sin(2 * np.pi * t / 2.0) - 3.0
     record = Experiment.from_arrays("swing", 0.001, inputs={"F": force}, units={"F": "N"})
-    effects = {emps.COULOMB: {"level": 20.0, "width": 1e-3}, emps.OFFSET: {"level": 3.0}}
+    effects = {emps_laws.COULOMB: {"level": 20.0, "width": 1e-3}, emps_laws.OFFSET: {"level": 3.0}}
     run = replay(POSITIONING_AXIS, record, parameters={"M": 90.0, "Fv": 210.0}, effects=effects)
     return run.experiment
 
 
 def taken(law, e):
-    model = emps._taken(law, Dataset((e,)))
-    return emps.Judged(law, model, {})
+    model = emps_laws._taken(law, Dataset((e,)))
+    return emps_laws.Judged(law, model, {})
 
 
 def test_the_force_of_a_law_is_its_written_formula(simulated):
     """F = Fv v + Fc tanh(v/w) + offset with the published numbers and sign: an offset of the drive of +3 N pushes forward."""
     v = np.array([-0.1, -0.02, 0.02, 0.1])
-    force = taken(emps.AS_PUBLISHED, simulated).force(v)
-    p = emps.PUBLISHED
+    force = taken(emps_laws.AS_PUBLISHED, simulated).force(v)
+    p = emps_laws.PUBLISHED
     assert force == pytest.approx(p["Fv"] * v + p["Fc"] * np.sign(v) + p["offset"], abs=1e-6)
 
 
 def test_viscous_friction_by_direction_is_two_straight_lines(simulated):
-    law = emps.Law("two", emps.TWO_VISCOSITIES, given={}, parameters={"M": 95.0, "Fv_forward": 160.0, "Fv_backward": 240.0})
+    law = emps_laws.Law(
+        "two", emps_laws.TWO_VISCOSITIES, given={}, parameters={"M": 95.0, "Fv_forward": 160.0, "Fv_backward": 240.0}
+    )
     v = np.array([-0.1, -0.05, 0.05, 0.1])
     assert taken(law, simulated).force(v) == pytest.approx([-24.0, -12.0, 8.0, 16.0], abs=1e-9)
 
 
 def test_equal_viscosities_are_the_nominal_axis(simulated):
     """The extended equation is neutral where both directions agree."""
-    both = replay(emps.TWO_VISCOSITIES, simulated, parameters={"M": 95.0, "Fv_forward": 180.0, "Fv_backward": 180.0})
+    both = replay(emps_laws.TWO_VISCOSITIES, simulated, parameters={"M": 95.0, "Fv_forward": 180.0, "Fv_backward": 180.0})
     one = replay(POSITIONING_AXIS, simulated, parameters={"M": 95.0, "Fv": 180.0})
     assert both.experiment["q"] == pytest.approx(one.experiment["q"], abs=1e-12)
 
 
 def test_force_over_speed_is_the_friction_that_was_simulated(simulated):
     """F - M q'' = Fv v + Fc sign v - offset away from the reversals, which the filter rounds."""
-    seen = emps.over_speed(simulated, 90.0)
+    seen = emps_laws.over_speed(simulated, 90.0)
     fast = np.abs(seen.v) > 0.3 * np.abs(seen.v).max()
     assert fast.sum() >= 10
     truth = 210.0 * seen.v + 20.0 * np.sign(seen.v) - 3.0
     assert seen.force[fast] == pytest.approx(truth[fast], abs=0.4)
     # with another mass the acceleration would be in it: the means hold only at the right one
-    off = emps.over_speed(simulated, 140.0)
+    off = emps_laws.over_speed(simulated, 140.0)
     assert np.all(off.deviation > 0.0)
 
 
@@ -83,11 +85,11 @@ def test_pulses_that_the_logged_force_lacks_are_seen_with_their_size(simulated, 
     t = simulated.t
     pulses = (np.floor(t / 0.5).astype(int) % 2).astype(float)
     given = simulated["F"] + 10.0 * pulses
-    effects = {emps.COULOMB: {"level": 20.3935, "width": 1e-3}, emps.OFFSET: {"level": 3.1648}}
+    effects = {emps_laws.COULOMB: {"level": 20.3935, "width": 1e-3}, emps_laws.OFFSET: {"level": 3.1648}}
     drive = Experiment.from_arrays("p", 0.001, inputs={"F": given + hidden * pulses}, units={"F": "N"})
     run = replay(POSITIONING_AXIS, drive, parameters={"M": 95.1089, "Fv": 203.5034}, effects=effects).experiment
     e = Experiment.from_arrays("p", 0.001, inputs={"F": given}, outputs={"q": run["q"]})
-    found = emps.pulse_force(taken(emps.AS_PUBLISHED, e), emps.Records(e, e, pulses, ()))
+    found = emps_laws.pulse_force(taken(emps_laws.AS_PUBLISHED, e), emps_laws.Records(e, e, pulses, ()))
     assert found is not None
     assert found.force == pytest.approx(hidden, abs=0.6)
     assert found.deviation < 0.6
@@ -95,16 +97,16 @@ def test_pulses_that_the_logged_force_lacks_are_seen_with_their_size(simulated, 
 
 def test_a_fit_of_the_free_run_has_its_own_smallest_error(simulated):
     """On records that the law itself made nothing is left; on the way there the numbers were not the true ones."""
-    law = emps.Law("viscous", parameters={})
+    law = emps_laws.Law("viscous", parameters={})
     e = replay(POSITIONING_AXIS, simulated, parameters={"M": 88.0, "Fv": 230.0}).experiment
     at = predictor(POSITIONING_AXIS, Dataset((e,)), drift=False)
     done = recalibrated(at, own=unknowns(at, names=()))
-    wrong = emps.Judged(law, Model(done.predictor, done.fit), {})
+    wrong = emps_laws.Judged(law, Model(done.predictor, done.fit), {})
     with_all = recalibrated(predictor(POSITIONING_AXIS, Dataset((e,)), drift=False))
-    right = emps.Judged(law, Model(with_all.predictor, with_all.fit), {})
-    records = emps.Records(e, e, None, ())
-    assert emps.in_free_run(right, records)["swing"] < 1e-5
-    assert emps.in_free_run(wrong, records)["swing"] > 1e-3
+    right = emps_laws.Judged(law, Model(with_all.predictor, with_all.fit), {})
+    records = emps_laws.Records(e, e, None, ())
+    assert emps_laws.in_free_run(right, records)["swing"] < 1e-5
+    assert emps_laws.in_free_run(wrong, records)["swing"] > 1e-3
 
 
 def test_one_record_that_begins_in_motion_is_enough_to_name_friction():
@@ -112,15 +114,15 @@ def test_one_record_that_begins_in_motion_is_enough_to_name_friction():
     t = 0.001 * np.arange(6000)
     force = 60.0 * np.sin(2 * np.pi * t / 1.5)
     drive = Experiment.from_arrays("moving", 0.001, inputs={"F": force}, units={"F": "N"})
-    effects = {emps.BY_SIDE: {"forward": 12.0, "backward": 24.0, "width": 2e-3}}
+    effects = {emps_laws.BY_SIDE: {"forward": 12.0, "backward": 24.0, "width": 2e-3}}
     run = replay(POSITIONING_AXIS, drive, start={"v": 0.08}, effects=effects).experiment
     q = run["q"] + 2e-7 * np.random.default_rng(3).standard_normal(len(t))
     found = diagnose(
         POSITIONING_AXIS, Dataset((Experiment.from_arrays("moving", 0.001, inputs={"F": force}, outputs={"q": q}),)), drift=False
     )
-    assert list(found.effects) == [emps.BY_SIDE]
-    assert found.effects[emps.BY_SIDE]["forward"] == pytest.approx(12.0, abs=1.0)
-    assert found.effects[emps.BY_SIDE]["backward"] == pytest.approx(24.0, abs=1.0)
+    assert list(found.effects) == [emps_laws.BY_SIDE]
+    assert found.effects[emps_laws.BY_SIDE]["forward"] == pytest.approx(12.0, abs=1.0)
+    assert found.effects[emps_laws.BY_SIDE]["backward"] == pytest.approx(24.0, abs=1.0)
 
 
 def test_without_records_the_study_says_which_are_needed_and_whose(capsys, tmp_path):
@@ -134,7 +136,7 @@ def test_without_records_the_study_says_which_are_needed_and_whose(capsys, tmp_p
 
 
 def test_files_of_that_name_that_hold_something_else_are_refused(tmp_path):
-    for name in (emps.ESTIMATION, emps.HELD_OUT):
+    for name in (emps_laws.ESTIMATION, emps_laws.HELD_OUT):
         savemat(tmp_path / name, {"t": 0.1 * np.arange(50.0), "y": np.sin(np.arange(50.0))})
     with pytest.raises(InputError, match=r"DATA_EMPS\.mat"):
         emps.main(folder=tmp_path / "out", data=str(tmp_path))
@@ -152,7 +154,7 @@ def test_the_diagnosis_names_what_the_literature_names(result):
     """Published: M 95.11 kg, Fc 20.39 N, offset -3.165 N; as one effect dry friction of 17.23 N forward and 23.56 N backward."""
     found = result[0]
     named = [f"{c['effect']}@{c['at']}" for c in found["causes"]]
-    assert named[0] == emps.BY_SIDE
+    assert named[0] == emps_laws.BY_SIDE
     assert set(named[1:]) <= {"quantisation@q"}  # the file holds steps of 50 nm
     sizes = found["causes"][0]["parameters"]
     for side, published in (("forward", 17.23), ("backward", 23.56)):
@@ -180,7 +182,7 @@ def test_the_saved_plant_runs_as_the_page_says(result):
     from workbench.readers import read_file
 
     plant = find_plant(str(result[3] / "extended.json"))
-    e = read_file(DATA / emps.ESTIMATION).trim(stop=emps.SHORT)
+    e = read_file(DATA / emps_laws.ESTIMATION).trim(stop=emps_laws.SHORT)
     steps = np.arange(40)
     speed = float(np.polyfit(e.t[steps], e["q"][steps], 2)[1])
     run = replay(plant, e, start={"q": float(e["q"][0]), "v": speed})

@@ -9,9 +9,10 @@ import pytest
 from scipy.stats import beta
 
 from plants import POSITIONING_AXIS
-from studies import STUDIES, hidden_effects, table
+from studies import STUDIES, hidden_effects
+from studies.cases import SEEDS
 from studies.cli import main as command
-from studies.hidden_effects import SEEDS, TARGETS, configured, run, run_case, said, to_json, verdict
+from studies.hidden_effects import TARGETS, configured, run, run_case, said, verdict
 from studies.hidden_scores import (
     Outcome,
     Resolution,
@@ -26,6 +27,7 @@ from studies.hidden_scores import (
     summary,
     tied,
 )
+from studies.targets import to_json
 from tests.hidden.catalogue import Hidden
 from workbench.data import Dataset, Experiment
 from workbench.diagnosis.answer import Limit
@@ -441,7 +443,7 @@ def test_the_configuration_tells_limits_and_versions_apart(monkeypatch):
     with monkeypatch.context() as other:  # rows that know nothing of experiments are not counted with rows that do
         other.setattr(hidden_effects, "LAYOUT", hidden_effects.LAYOUT - 1)
         assert configured({"m": {"offset@u": 0.1}}) != before
-    monkeypatch.setattr(table, "versions", lambda: {"gain-scheduling-workbench": "another"})
+    monkeypatch.setattr("workbench.table.versions", lambda: {"gain-scheduling-workbench": "another"})
     assert configured({"m": {"offset@u": 0.1}}) != before
 
 

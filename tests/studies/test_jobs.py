@@ -26,7 +26,8 @@ from workbench.metrics import fit
 from workbench.robustness.frozen import Bounds
 from workbench.robustness.limits import Manoeuvre
 from workbench.simulation import replay, simulate
-from workbench.sweeps import Point, load_sweep, read_rows
+from workbench.sweeps.design import Point, load_sweep
+from workbench.sweeps.rows import read_rows
 
 WINDING, ROBOT = PLANTS["web-winding"], PLANTS["welding-robot"]
 ROBOT_LOGGED = Recorded("welding-robot", ("prbs", "rbs"), ("u",), ("v",))

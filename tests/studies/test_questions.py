@@ -11,7 +11,8 @@ from studies.question import NOWHERE, Answer, Question, Runs, _lost, study
 from workbench.errors import InputError
 from workbench.files import read_json
 from workbench.report.blocks import Table
-from workbench.sweeps import Factor, Rows, Sweep, read_rows
+from workbench.sweeps.design import Factor, Sweep
+from workbench.sweeps.rows import Rows, read_rows
 
 QUESTIONS = {
     "pid-bandwidth": pid_bandwidth,

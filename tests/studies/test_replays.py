@@ -13,6 +13,7 @@ from workbench.physics.controller import content_of
 from workbench.readers import read_file
 from workbench.robustness.falsify.box import Dimension, tolerance_box
 from workbench.robustness.falsify.search import worst_plant
+from workbench.robustness.falsify.trials import Search
 from workbench.robustness.limits import Limit, Manoeuvre
 
 LAW = pid(("u",), ("v",), ("v_set",), 0.02, Kp=[[6.0]], Ki=[[8.0]], low=(-4.0,), high=(4.0,))
@@ -28,7 +29,7 @@ def found(plant=WELDING_ROBOT):
     manoeuvre = Manoeuvre(4.0, {"v": ((0.0, 0.0), (0.5, 0.4), (2.5, -0.3))}, seed=3)
     box = (*tolerance_box(plant), Dimension("level", 0.0, 0.3, effect="coulomb@rail"))
     limits = [Limit("v", high=0.42), Limit("v", band=0.02, settling=1.0)]
-    return worst_plant(plant, LAW, manoeuvre.scenario(plant, LAW), limits, box, runs=30)
+    return worst_plant(Search(plant, LAW, manoeuvre.scenario(plant, LAW), limits, box, runs=30))
 
 
 @pytest.fixture(scope="module")

@@ -19,11 +19,13 @@ from studies.cli import main
 from studies.jobs.closed_loop import ClosedLoop
 from tests.controllers.test_nmpc import winding
 from tests.studies.test_robust_winding import law
-from workbench import sweeps as engine
 from workbench.errors import InputError
 from workbench.robustness.limits import Manoeuvre
 from workbench.simulation import simulate, simulate_batch
-from workbench.sweeps import Factor, Point, StoppedError, Sweep, read_rows, run_sweep
+from workbench.sweeps.design import Factor, Point, Sweep
+from workbench.sweeps.job import StoppedError
+from workbench.sweeps.rows import read_rows
+from workbench.sweeps.run import run_sweep
 
 WINDING = PLANTS["web-winding"]
 FRICTION = "coulomb@unwind:level"
@@ -335,7 +337,7 @@ def test_on_a_cluster_of_which_a_worker_dies_the_rows_are_the_same(cluster, tmp_
 @pytest.mark.filterwarnings("default")
 def test_a_scheduler_that_is_none_is_said(asked, capsys, monkeypatch):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-    monkeypatch.setattr(engine, "WAITED", 0.5)
+    monkeypatch.setattr("workbench.sweeps.workers.WAITED", 0.5)
     for address, why in (("tcp://127.0.0.1:9", "no Dask scheduler"), ("nonsense", "no Dask scheduler")):
         assert main(["sweep", "sweep.toml", "--out", f"o{len(address)}", "--scheduler", address]) == 2
         assert why in capsys.readouterr().err

@@ -84,7 +84,9 @@ def test_a_clock_that_is_put_back_does_not_stop_a_sweep(tmp_path, monkeypatch):
     import time
 
     from tests.workbench.test_sweeps import Areas
-    from workbench.sweeps import Factor, Sweep, read_rows, run_sweep
+    from workbench.sweeps.design import Factor, Sweep
+    from workbench.sweeps.rows import read_rows
+    from workbench.sweeps.run import run_sweep
 
     hours = iter(range(10**9, 0, -3600))
     monkeypatch.setattr(time, "time", lambda: next(hours))

@@ -5,10 +5,10 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
 
 from studies import STUDIES, welding_robot
-from studies.welding_robot import CURVES, PERTURBED, frozen_course, frozen_parameters
+from studies.experiments import CURVES
+from studies.robot_envelopes import ESTIMATION, PERTURBED, Sampling
 from workbench.errors import InputError
 from workbench.intervals.model import load_interval_model
 from workbench.provenance import PACKAGES
@@ -28,7 +28,7 @@ def result(tmp_path_factory):
 
 def rows(folder, model):
     """v(k), its regressors in delta form by the definition, and the sample of each row, for every estimation record."""
-    for name in welding_robot.ESTIMATION:
+    for name in ESTIMATION:
         e = read_file(folder / "records" / f"{name}.csv", inputs=("u",), outputs=("v",)).select(("u", "v")).resample(model["dt"])
         u, v = e["u"], e["v"]
         k = np.arange(2, len(e))
@@ -65,7 +65,7 @@ def test_the_simulation_box_holds_every_estimation_sample_in_a_free_run(result):
     """By a run of its nominal parameters and 200 random ones: all lie within the envelope, which holds what was measured."""
     model = load_interval_model(result[0] / "simulation-box.json")
     box, random = model.modes[0].box, np.random.default_rng(0)
-    for name in welding_robot.ESTIMATION:
+    for name in ESTIMATION:
         e = read_file(result[0] / "records" / f"{name}.csv", inputs=("u",), outputs=("v",)).select(("u", "v")).resample(model.dt)
         found = model.free_run(e)
         u, v = e["u"], e["v"]
@@ -102,7 +102,7 @@ def test_widths_stand_in_the_order_that_their_promises_force(result):
 
 def test_the_comparison_with_LTI_is_told_at_every_sample_time():
     """A box that wins at one sample time only: the findings name the ratio at each, and how little the choice rests on."""
-    tried = (welding_robot.Sampling(0.04, 0.06, 4.0, 0.3178, 0.03, 0.4), welding_robot.Sampling(0.1, 0.07, 2.6, 0.3171, 0.1, 0.4))
+    tried = (Sampling(0.04, 0.06, 4.0, 0.3178, 0.03, 0.4), Sampling(0.1, 0.07, 2.6, 0.3171, 0.1, 0.4))
     said = welding_robot._sampling_said(tried)
     assert "2 at 0.04 s, 0.7 at 0.1 s" in said
     assert "0.22 %" in said
@@ -113,20 +113,6 @@ def test_the_bound_around_LTI_holds_its_estimation_records_exactly(result):
     own = [c for c in table["LTI"] if c["split"] == "estimation"]
     assert len(own) == 4
     assert all(c["coverage"] == 1.0 for c in own)
-
-
-def test_frozen_parameters_are_those_of_the_published_transfer_function():
-    """G(s) = (s + 2.3)/(s^2 + 6.6 s + 1.67) sampled with a held input, [2] (9), in delta form."""
-    b, a, _ = cont2discrete(([1.0, 2.3], [1.0, 6.6, 1.67]), 0.1)
-    delta = [2 + a[1], 1 + a[1] + a[2], b[0, 1], b[0, 1] + b[0, 2]]
-    np.testing.assert_allclose(frozen_parameters(1.0, 0.1), delta, rtol=1e-10)
-
-
-def test_the_course_of_the_truth_follows_the_mass():
-    """Curve 4 starts at twice the mass; a quarter of the period later it is at 2.4 times."""
-    course = frozen_course(np.array([0.0, 2.5]), 0.1, CURVES["curve4"])
-    np.testing.assert_allclose(course[0], frozen_parameters(2.0, 0.1))
-    np.testing.assert_allclose(course[1], frozen_parameters(2.4, 0.1))
 
 
 def test_all_three_perturbations_act_in_the_estimation_records(result):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from plants import WEB_WINDING
-from studies.winding_models import frozen_machine, true_coefficients
+from plants.web_winding import frozen_machine
+from studies.winding_models import true_coefficients
 from workbench.lpv import load_model
 
 

@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from plants.web_winding import frozen_machine
 from studies import STUDIES, winding_models
-from studies.winding_models import frozen_machine, true_coefficients
+from studies.winding_models import true_coefficients
 from workbench.errors import InputError
 
 pytestmark = pytest.mark.slow

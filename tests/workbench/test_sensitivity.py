@@ -7,7 +7,8 @@ import pytest
 
 from workbench.errors import InputError
 from workbench.sensitivity import Index, response_surface, sensitivity
-from workbench.sweeps import Factor, Rows, Sweep, load_sweep
+from workbench.sweeps.design import Factor, Sweep, load_sweep
+from workbench.sweeps.rows import Rows
 
 A, B = 7.0, 0.1
 

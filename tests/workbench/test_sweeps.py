@@ -19,10 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import qmc
 
-from workbench import sweeps as engine
 from workbench.errors import InputError
 from workbench.records import record
-from workbench.sweeps import Factor, StoppedError, Sweep, export_csv, load_sweep, read_rows, run_sweep
+from workbench.sweeps.design import Factor, Sweep, load_sweep
+from workbench.sweeps.job import StoppedError
+from workbench.sweeps.rows import export_csv, read_rows
+from workbench.sweeps.run import run_sweep
 
 
 @record
@@ -257,7 +259,7 @@ def test_a_file_of_something_else_is_refused(tmp_path):
 
 def test_rows_of_another_version_are_refused(tmp_path, monkeypatch):
     run_sweep(Sweep("areas", (A, B)), Areas(), tmp_path / "r.sqlite")
-    monkeypatch.setattr(engine, "versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr("workbench.sweeps.database.versions", lambda: {"numpy": "0.1"})
     with pytest.raises(InputError, match="holds rows of another sweep, job or version"):
         run_sweep(Sweep("areas", (A, B)), Areas(), tmp_path / "r.sqlite", resume=True)
 
@@ -288,7 +290,7 @@ def test_tables_are_there_or_not_at_all(tmp_path, monkeypatch):
         return {}
 
     with monkeypatch.context() as patch:
-        patch.setattr(engine, "versions", failing)
+        patch.setattr("workbench.sweeps.database.versions", failing)
         with pytest.raises(CutError):
             run_sweep(Sweep("areas", (A, B)), Areas(), path)
     with pytest.raises(InputError, match="holds no sweep"):
@@ -332,7 +334,7 @@ import sys
 sys.path.insert(0, {str(root)!r})
 from pathlib import Path
 from tests.workbench.test_sweeps import Areas, MANY
-from workbench.sweeps import run_sweep
+from workbench.sweeps.run import run_sweep
 path = Path({str(path)!r})
 run_sweep(MANY, Areas(pause=0.004), path, resume=path.exists(), jobs={jobs})
 """

@@ -29,7 +29,7 @@ from workbench.report.blocks import Provenance, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.falsify.box import fitted_box, fitted_box_of
 from workbench.robustness.limits import LoopLimits, limits_of, load_limits
-from workbench.robustness.loop import check_law, without_linear_form
+from workbench.robustness.linear_law import check_law, without_linear_form
 from workbench.robustness.verdict import Status, Verdict, overall
 from workbench.verification.model import NODES, claimed, on_model, opened
 from workbench.verification.part import FROZEN, Part

@@ -143,6 +143,47 @@ def mode_pictures(model: IntervalModel, records: Sequence[Experiment]) -> list[P
     return pictures
 
 
+def along_time(model: IntervalModel, e: Experiment, what: str, truth: np.ndarray | None = None) -> list[Picture]:
+    """Modes of a record that the model was made from and their parameter intervals; what: how the titles end.
+
+    truth (len(e), parameters): drawn beside the intervals.
+    """
+    stretches = _stretches(model, e)
+    k, index = np.arange(stretches[0][0], stretches[-1][1] + 1), np.array([i for *_, i in stretches])
+    mode = np.concatenate([np.full(last - first + 1, i) for first, last, i in stretches])
+    measured = Trace(e.channel(model.output.name), e[model.output.name][k])
+    short = [i for i, m in enumerate(model.modes) if m.short]
+    names = [f"mode {i}" for i in range(len(model.modes))]
+    along = figures.modes_along_time(f"Modes along time {what}", e.t[k], measured, mode, names, short)
+    edges = np.array([*(e.t[first] for first, *_ in stretches), e.t[k[-1]]])
+    boxes, names = [model.modes[i].box for i in index], model.form.names
+    parameters = {
+        name: figures.ParameterInterval(np.array([box.centre[j] for box in boxes]), np.array([box.radius[j] for box in boxes]))
+        for j, name in enumerate(names)
+    }
+    title = f"Parameter intervals along time {what}"
+    if truth is None:
+        return [along, figures.parameters_along_time(title, edges, parameters)]
+    picture = figures.parameters_along_time(title, edges, parameters, e.t[k], {n: truth[k, j] for j, n in enumerate(names)})
+    return [along, replace(picture, caption=f"{picture.caption} A parameter is named by its regressor.")]
+
+
+def truth_held(model: IntervalModel, e: Experiment, truth: np.ndarray) -> float:
+    """The share of the samples that modes were made from, and of the parameters (len(e), parameters), inside of the intervals."""
+    held = [
+        np.abs(truth[first : last + 1] - model.modes[i].box.centre) <= model.modes[i].box.radius
+        for first, last, i in _stretches(model, e)
+    ]
+    return float(np.mean(np.concatenate(held)))
+
+
+def _stretches(model: IntervalModel, e: Experiment) -> list[tuple[int, int, int]]:
+    """First and last sample of every stretch of a record, one after the other, and the mode that was made from it."""
+    return sorted(
+        (span.first, span.last, i) for i, mode in enumerate(model.modes) for span in mode.spans if span.record == e.name
+    )
+
+
 def domain_picture(model: IntervalModel, e: Experiment) -> Picture:
     """The two regressors of the most recent output, or inputs, of every mode, with the samples of a record."""
     regions = {f"mode {i}": shadow(mode.domain, 0, 1) for i, mode in enumerate(model.modes)}

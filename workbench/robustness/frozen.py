@@ -15,7 +15,7 @@ from workbench.errors import InputError
 from workbench.lpv import LPVModel
 from workbench.records import field, record
 from workbench.robustness.frequency import Closed, System, delay_margin, first_reaching, peak
-from workbench.robustness.loop import LinearLaw, check_law
+from workbench.robustness.linear_law import LinearLaw, check_law
 
 PEAKS = ("sensitivity", "complementary", "effort", "loops", "radius")
 

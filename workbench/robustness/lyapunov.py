@@ -25,8 +25,8 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, exact, positive_definite
 from workbench.records import field, record
-from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.semidefinite import Block, maximise, symmetric
+from workbench.robustness.uncertain import UncertainLoop
 
 TRIED = (0.11, 0.25, 0.68, 0.87)  # of a cell, where it is tried whether a loop is quadratic
 QUADRATIC = 1e-9  # by which a loop may differ from the quadratic through three of its values, relative to its size
@@ -174,6 +174,35 @@ def largest(loop: ScheduledLoop, rate: float, beyond: float, step: float = STEP)
     return best
 
 
+@record
+class _Layout:
+    """The variables of the program: P of every node, W of every cell, D of every cell and block, and t, which is the last.
+
+    E (m n n): basis of P and W. K nodes, p parameters; W, D, t: where these begin.
+    """
+
+    E: np.ndarray = field("m n n")
+    K: int
+    p: int
+    W: int
+    D: int
+    t: int
+
+    @classmethod
+    def of(cls, n: int, K: int, p: int, moving: bool) -> "_Layout":
+        E = symmetric(n)
+        D = (K + (K - 1) * moving) * len(E)
+        return cls(E, K, p, K * len(E), D, D + (K - 1) * (DEGREE + 1) * p)
+
+    def matrices(self, x: np.ndarray, first: int, count: int) -> np.ndarray:
+        """(count, n, n) from the variables that begin at `first`."""
+        return np.tensordot(x[first : first + count * len(self.E)].reshape(count, len(self.E)), self.E, 1)
+
+    def multipliers(self, x: np.ndarray) -> np.ndarray:
+        """D (K - 1, DEGREE + 1, p)."""
+        return x[self.D : self.t].reshape(self.K - 1, DEGREE + 1, self.p)
+
+
 def _reaching(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertificate | None:
     """P, W and D from the program for kappa, with the largest kappa that they reach in floating point; or none.
 
@@ -190,51 +219,70 @@ def _reaching(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertif
     size = np.linalg.norm(loop.C, axis=1)  # z of size 1: multipliers of one order
     C = loop.C / size[:, None]
     M = np.concatenate([np.stack(hull(part), axis=1) for part in (loop.A, kappa * loop.columns * size)], axis=3)
-    E = symmetric(n)
-    m = len(E)
-    start = {"W": K * m, "D": (K + (K - 1) * (rate > 0.0)) * m}  # of the variables: every P, W by cell, D by cell and block, t
-    t = start["D"] + (K - 1) * (DEGREE + 1) * p
-    blocks = [Block(np.ones((1, 1)), -np.ones((1, 1, 1)), np.array([t]))]  # t <= 1
-    of_C, of_D, of_t = np.zeros((p, n + p, n + p)), np.arange(p), np.zeros((1, n + p, n + p))
+    layout = _Layout.of(n, K, p, rate > 0.0)
+    blocks = [Block(np.ones((1, 1)), -np.ones((1, 1, 1)), np.array([layout.t]))]  # t <= 1
+    blocks += [*_blocks_of_cells(layout, M, C, rate / width), *_blocks_of_moves(layout, loop.nodes, rate)]
+    m, trace = len(layout.E), np.zeros(layout.t + 1)
+    trace[(K // 2) * m + np.arange(m)] = np.trace(layout.E, axis1=1, axis2=2)
+    x = maximise(np.eye(layout.t + 1)[-1], blocks, (trace[None], np.array([float(n)])), ACCURACY)
+    if x is None:
+        return None
+    P = layout.matrices(x, 0, K)
+    W = layout.matrices(x, layout.W, K - 1) * (rate / width)[:, None, None] if rate > 0.0 else np.zeros((K - 1, n, n))
+    D = np.maximum(layout.multipliers(x), 0.0) / kappa**2
+    M[..., n:] /= kappa
+    reached = _reached(M, C, P, W, D)
+    if reached is None:
+        return None
+    reached *= 1.0 - INSIDE
+    return ScheduledCertificate(reached, rate, P, W, reached**2 * D / size**2 @ np.eye(len(alive))[alive])
+
+
+def _blocks_of_cells(layout: _Layout, M: np.ndarray, C: np.ndarray, speed: np.ndarray) -> Iterator[Block]:
+    """For every cell the coefficients of the Lyapunov inequality in it; speed (K - 1): cells that are crossed a sample."""
+    p, n = C.shape
+    E, m, of_D = layout.E, len(layout.E), np.arange(p)
+    of_C, of_t = np.zeros((p, n + p, n + p)), np.zeros((1, n + p, n + p))
     of_C[:, :n, :n], of_C[of_D, n + of_D, n + of_D] = -np.einsum("ia,ib->iab", C, C), 1.0
     of_t[0, :n, :n] = -np.eye(n)
     E_then = np.zeros((m, n + p, n + p))
     E_then[:, :n, :n] = E
-    entries = np.arange(m)
-    for cell in range(K - 1):
-        own, step = cell * m + entries, start["W"] + cell * m + entries
+    for cell in range(layout.K - 1):
+        own, step = cell * m + np.arange(m), layout.W + cell * m + np.arange(m)
         for k in range(DEGREE + 1):
             after = np.zeros((2, m, n + p, n + p))
             for end, i, j, share in products(k):
                 after[end] += float(share) * (M[cell, i].T @ E @ M[cell, j])
             share = k / DEGREE
             F = [(1.0 - share) * E_then - after[0], share * E_then - after[1], of_C, of_t]
-            at = [own, own + m, start["D"] + (cell * (DEGREE + 1) + k) * p + of_D, [t]]
-            if rate > 0.0:
-                F.append(-rate / width[cell] * after.sum(axis=0))
+            at = [own, own + m, layout.D + (cell * (DEGREE + 1) + k) * p + of_D, [layout.t]]
+            if speed[cell] > 0.0:
+                F.append(-speed[cell] * after.sum(axis=0))
                 at.append(step)
-            blocks.append(Block(np.zeros((n + p, n + p)), np.concatenate(F), np.concatenate(at)))
-    for cell, by, sign in zip(*moves(loop.nodes, rate), strict=True) if rate > 0.0 else ():
+            yield Block(np.zeros((n + p, n + p)), np.concatenate(F), np.concatenate(at))
+
+
+def _blocks_of_moves(layout: _Layout, nodes: np.ndarray, rate: float) -> Iterator[Block]:
+    """For every way to move from cell to cell: W bounds what P changes along it."""
+    if not rate > 0.0:
+        return
+    E, m, width = layout.E, len(layout.E), np.diff(nodes)
+    entries = np.arange(m)
+    for cell, by, sign in zip(*moves(nodes, rate), strict=True):
         along = sign * width[cell] / width[by]  # W of the program is width / rate times W, and of the size of P
-        F = [E, -along * E, along * E, -np.eye(n)[None]]
-        at = [start["W"] + cell * m + entries, (by + 1) * m + entries, by * m + entries, [t]]
-        blocks.append(Block(np.zeros((n, n)), np.concatenate(F), np.concatenate(at)))
-    trace = np.zeros(t + 1)
-    trace[(K // 2) * m + entries] = np.trace(E, axis1=1, axis2=2)
-    x = maximise(np.eye(t + 1)[-1], blocks, (trace[None], np.array([float(n)])), ACCURACY)
-    if x is None:
-        return None
-    P = np.tensordot(x[: K * m].reshape(K, m), E, 1)
-    W = np.zeros((K - 1, n, n))
-    if rate > 0.0:
-        W = np.tensordot(x[start["W"] : start["D"]].reshape(K - 1, m), E, 1) * (rate / width)[:, None, None]
-    D = np.maximum(x[start["D"] : t].reshape(K - 1, DEGREE + 1, p), 0.0) / kappa**2
-    reached = np.inf
-    M[..., n:] /= kappa
+        F = [E, -along * E, along * E, -np.eye(E.shape[1])[None]]
+        at = [layout.W + cell * m + entries, (by + 1) * m + entries, by * m + entries, [layout.t]]
+        yield Block(np.zeros(E.shape[1:]), np.concatenate(F), np.concatenate(at))
+
+
+def _reached(M: np.ndarray, C: np.ndarray, P: np.ndarray, W: np.ndarray, D: np.ndarray) -> float | None:
+    """The largest kappa at which all blocks of the cells are positive definite; none where one is not, however small kappa."""
+    p, n = C.shape
+    cells, of_D, reached = len(W), np.arange(p), np.inf
     for k in range(DEGREE + 1):
-        R = np.zeros((K - 1, n + p, n + p))
+        R = np.zeros((cells, n + p, n + p))
         for end, i, j, share in products(k):
-            R -= float(share) * (M[:, i].mT @ (P[end : K - 1 + end] + W) @ M[:, j])
+            R -= float(share) * (M[:, i].mT @ (P[end : cells + end] + W) @ M[:, j])
         R[:, :n, :n] += P[:-1] * (1.0 - k / DEGREE) + P[1:] * (k / DEGREE)
         R[:, n + of_D, n + of_D] += D[:, k]
         if np.linalg.eigvalsh(R)[:, 0].min() <= 0.0:
@@ -242,8 +290,7 @@ def _reaching(loop: ScheduledLoop, kappa: float, rate: float) -> ScheduledCertif
         rest = R[:, :n, :n] - R[:, :n, n:] @ np.linalg.solve(R[:, n:, n:], R[:, n:, :n])
         into = np.linalg.inv(np.linalg.cholesky(0.5 * (rest + rest.mT))) @ C.T * np.sqrt(D[:, k])[:, None, :]
         reached = min(reached, float(np.linalg.norm(into, 2, axis=(1, 2)).max()) ** -1)
-    reached *= 1.0 - INSIDE
-    return ScheduledCertificate(reached, rate, P, W, reached**2 * D / size**2 @ np.eye(len(alive))[alive])
+    return reached
 
 
 def moves(nodes: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

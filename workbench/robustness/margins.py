@@ -34,8 +34,8 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, exact, positive_definite
 from workbench.records import field, record
-from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.semidefinite import Block, maximise, symmetric
+from workbench.robustness.uncertain import UncertainLoop
 
 FREQUENCIES = 4000
 MOST_CORNERS = 12  # parameters up to which all corners of the box are looked at

@@ -20,9 +20,9 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
-from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.lyapunov import STEP, ScheduledCertificate, ScheduledLoop, largest, scheduled_loop
 from workbench.robustness.margins import MOST, SWEEPS, Orbits, falsified, frozen_margin, orbits
+from workbench.robustness.uncertain import UncertainLoop
 
 LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20, 25, 32)  # samples of a periodic sequence
 LONGEST = 64  # a schedule that needs longer from end to end and back is slow: it gains little over one that stands still

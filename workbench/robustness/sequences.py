@@ -18,8 +18,10 @@ from workbench.intervals.model import IntervalModel, interval_model_from_dict
 from workbench.lpv import LPVModel, model_from_dict
 from workbench.records import field, record
 from workbench.robustness.envelopes.course import Course, replay
-from workbench.robustness.loop import LinearLaw, UncertainLoop, course_of
+from workbench.robustness.linear_law import LinearLaw
+from workbench.robustness.loop import course_of
 from workbench.robustness.margins import Falsified
+from workbench.robustness.uncertain import UncertainLoop
 
 SCHEMA, VERSION = "gain-scheduling-workbench/parameter-sequence", 2
 

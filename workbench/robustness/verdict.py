@@ -189,7 +189,6 @@ def bounds_kept(
     dt: float,
     possible: np.ndarray | None = None,
     moving: bool = False,
-    seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Kept]:
     """A verdict on every bound over all parameters within their boxes and all starts of the course, samples dt [s] apart.
@@ -206,16 +205,16 @@ def bounds_kept(
         progress(stop.claim)
         free = min(free, _proved_until(course, outer, stop))
     constant = None if possible is None else _constant_runs(course, possible)
-    found = []
+    proved, found = _Proved(course, outer, free, tuple(stops), of, dt), []
     for bound in bounds:
         progress(bound.claim)
-        furthest = tried = _moving_runs(course, outer.nominal.v, bound, seed)
+        furthest = tried = _moving_runs(course, outer.nominal.v, bound)
         if constant is not None:
-            tried = _with_noise(course, constant, bound, stops, seed)
+            tried = _with_noise(course, constant, bound, stops)
             furthest = furthest.beside(tried)
         tried = furthest if moving else tried
         until = _proved_until(course, outer, bound)
-        found.append(_judged(course, outer, bound, tried, furthest, until, free, stops, of, dt))
+        found.append(_judged(proved, bound, tried, furthest, until))
     return found
 
 
@@ -225,7 +224,7 @@ def _sides(bound: Bound) -> list[tuple[int, np.ndarray]]:
     return [(side, limit) for side, limit in both if np.isfinite(limit).any()]
 
 
-def _moving_runs(course: Course, run: np.ndarray, bound: Bound, seed: int) -> Tried:
+def _moving_runs(course: Course, run: np.ndarray, bound: Bound) -> Tried:
     """The adversary, where the run in the middle comes nearest to the bound and at samples spread over it."""
     i, questions = course.number(bound.signal), []
     for side, limit in _sides(bound):
@@ -233,7 +232,7 @@ def _moving_runs(course: Course, run: np.ndarray, bound: Bound, seed: int) -> Tr
         nearest = counted[(side * run[counted, i] - limit[counted]).argmax()]
         spread = counted[np.linspace(0, len(counted) - 1, INSTANTS + 1).round().astype(int)[1:]]
         questions += [(bound.signal, int(k), side) for k in np.unique(np.append(spread, nearest))]
-    found = worst(course, questions, seed=seed)
+    found = worst(course, questions)
     return Tried(found.v, found.delta, found.before, found.share, found.start)
 
 
@@ -256,7 +255,7 @@ def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
     return Tried(replay(course, every, start), every, np.where(begins, own, 0.0), np.where(begins, share, 0.0), start)
 
 
-def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[Bound], seed: int) -> Tried:
+def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[Bound]) -> Tried:
     """The constant run that comes nearest to a bound, and the worst errors on top of it."""
     i = course.number(bound.signal)
     excess = _excess(constant.v, bound, i, _linear_until(course, constant.v, stops))
@@ -264,7 +263,7 @@ def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[B
     if not (course.lam[:, ~_explained(course)] > 0.0).any():
         return best
     fixed = course.at(best.delta[0, 0])
-    errors = _moving_runs(fixed, best.v[0], bound, seed)
+    errors = _moving_runs(fixed, best.v[0], bound)
     delta, before = best.delta + np.where(_explained(course), 0.0, errors.delta), best.before + errors.before
     share = errors.share if fixed.before else np.repeat(best.share, len(delta), axis=0)
     start = course.begun(before, share)
@@ -300,12 +299,23 @@ def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:
     return until
 
 
-def _judged(
-    course: Course, outer: Kernel, bound: Bound, tried: Tried, furthest: Tried, until: int, free: int,
-    stops: Sequence[Bound], of: str, dt: float,
-) -> Kept:  # fmt: skip
+@record
+class _Proved:
+    """What the verdicts of one course share: the kernel around all runs, the samples before any command may be at its stop."""
+
+    course: Course
+    outer: Kernel
+    free: int
+    stops: tuple[Bound, ...]
+    of: str
+    dt: float
+
+
+def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried, until: int) -> Kept:
+    """The verdict on a bound that is proved until a sample, of runs that were tried and of the furthest ones."""
+    course, outer, free, dt = proved.course, proved.outer, proved.free, proved.dt
     i, unit = course.number(bound.signal), bound.unit
-    excess = _excess(tried.v, bound, i, _linear_until(course, tried.v, stops))
+    excess = _excess(tried.v, bound, i, _linear_until(course, tried.v, proved.stops))
     row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
     reached = float(excess[row, k])
     beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())
@@ -317,7 +327,7 @@ def _judged(
     every = (float(below[asked].min()), float(above[asked].max())) if free == len(course) else None
 
     def kept(status: Status, margin: float, said: str) -> Kept:
-        found = Verdict(bound.claim, of, status, margin, unit, said, every=every)
+        found = Verdict(bound.claim, proved.of, status, margin, unit, said, every=every)
         return Kept(bound, found, tried.row(row), k)
 
     moving = tried is furthest

@@ -27,19 +27,13 @@ from workbench.robustness.falsify.counterexample import same
 from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
-from workbench.robustness.loop import (
-    RATE_OF,
-    LinearLaw,
-    UncertainLoop,
-    check_law,
-    driven,
-    interpolated,
-    machine_with_errors,
-    without_linear_form,
-)
+from workbench.robustness.linear_law import LinearLaw, check_law, without_linear_form
+from workbench.robustness.loop import RATE_OF, driven, interpolated
+from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Falsified, Margin, margin
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, Witness, sequence_of
+from workbench.robustness.uncertain import UncertainLoop
 from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, refuting, stability
 from workbench.simulation import simulate
 from workbench.verification.part import FROZEN, Part

@@ -15,6 +15,7 @@ from workbench.report.blocks import Block, Table
 from workbench.robustness.falsify.box import Dimension, tolerance_box
 from workbench.robustness.falsify.counterexample import counterexample_of
 from workbench.robustness.falsify.search import at_random, worst_plant
+from workbench.robustness.falsify.trials import Search
 from workbench.robustness.falsify.worst import Worst
 from workbench.robustness.limits import LoopLimits, resolved
 from workbench.robustness.verdict import Status, Verdict
@@ -46,7 +47,7 @@ def on_plant(
     for number, limit in enumerate(resolved(limits.limits, plant, law), 1):
         name = f"{limit.signal}: {' and '.join(limit.kept)}"
         progress(f"worst machine for {name}")
-        found = worst_plant(plant, law, scenario, [limit], tuple(box.values()), runs=count, seed=seed)
+        found = worst_plant(Search(plant, law, scenario, [limit], tuple(box.values()), runs=count, seed=seed))
         worst.append(found)
         said = f"{found.sentence}; the worst of {found.runs} machines within {len(box)} intervals"
         unit = limit.unit_of(found.bound)
@@ -74,7 +75,7 @@ def check_asked(limits: LoopLimits) -> None:
 
 def _sampled(plant: Any, law: Any, scenario: Scenario, limits: LoopLimits, box: tuple, runs: int, seed: int, of: str) -> Verdict:
     """What random machines say: a statement about sampling, not about the worst case."""
-    found = at_random(plant, law, scenario, limits.limits, box, runs=runs, seed=seed)
+    found = at_random(Search(plant, law, scenario, limits.limits, box, runs=runs, seed=seed))
     share = -math.log(SURE) / found.runs
     if found.broken:
         said = f"{found.sentence}; among {found.runs} random machines"

@@ -15,7 +15,7 @@ from workbench.physics.plant import Plant
 from workbench.records import record
 from workbench.rehearsal import Rehearsal
 from workbench.robustness.frozen import closed_loop
-from workbench.robustness.loop import without_linear_form
+from workbench.robustness.linear_law import without_linear_form
 from workbench.simulation import LeftRangeError, Scenario, simulate
 
 POINTS = 5  # schedule values at which loops are asked how slow they are

@@ -15,7 +15,7 @@ from plants import WELDING_ROBOT
 from studies.cli import main
 from studies.experiments import measured
 from tests.controllers.test_scheduled_pid import scheduled
-from workbench.robustness.loop import without_linear_form
+from workbench.robustness.linear_law import without_linear_form
 from workbench.robustness.verdict import Status
 
 LIMITS = {

@@ -12,7 +12,8 @@ from workbench.intervals.model import IntervalModel, Mode
 from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionAll, ParameterBox
 from workbench.robustness.envelopes.course import Course
-from workbench.robustness.loop import UncertainLoop, close
+from workbench.robustness.loop import close
+from workbench.robustness.uncertain import UncertainLoop
 
 DT = 0.1
 

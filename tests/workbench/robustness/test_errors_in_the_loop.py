@@ -10,7 +10,8 @@ from workbench.errors import InputError
 from workbench.intervals.errors import ErrorRegression, one_step_errors
 from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
 from workbench.robustness.envelopes.course import nominal, replay
-from workbench.robustness.loop import close, course, driven, machine_with_errors, machines_along
+from workbench.robustness.loop import close, course, driven
+from workbench.robustness.machine import machine_with_errors, machines_along
 
 N = 80
 TERMS = (Term(0), Term(1), Term(1, 2))

@@ -20,6 +20,7 @@ from workbench.robustness.falsify import trials
 from workbench.robustness.falsify.box import Dimension, fitted_box, tolerance_box
 from workbench.robustness.falsify.counterexample import load_counterexample
 from workbench.robustness.falsify.search import at_random, worst_plant
+from workbench.robustness.falsify.trials import Search
 from workbench.robustness.limits import Limit, Manoeuvre
 from workbench.simulation import Scenario, simulate
 
@@ -48,7 +49,7 @@ BOX = (*tolerance_box(TOY), *(Dimension(name, -1.0, 1.0) for name in "cd"))
 
 
 def worst(*limits, box=BOX, runs=200, **options):
-    return worst_plant(TOY, LAW, SCENARIO, limits, box, runs=runs, **options)
+    return worst_plant(Search(TOY, LAW, SCENARIO, limits, box, runs=runs, **options))
 
 
 def test_the_box_of_tolerances():
@@ -91,7 +92,7 @@ def test_a_hill_beside_a_slope_to_another_corner_is_found():
     plant = TOY_WITH_A_HILL
     box = tuple(Dimension(name, -1.0, 1.0) for name in "ef")
     for seed in range(3):
-        found = worst_plant(plant, LAW, SCENARIO, [Limit("y", high=1.0)], box, runs=800, seed=seed)
+        found = worst_plant(Search(plant, LAW, SCENARIO, [Limit("y", high=1.0)], box, runs=800, seed=seed))
         assert found.point["e"] == pytest.approx(0.7, abs=0.05)
         assert found.point["f"] == pytest.approx(-0.6, abs=0.05)
 
@@ -125,7 +126,7 @@ def test_of_several_limits_the_one_that_is_broken_by_the_larger_share_is_reporte
 
 def test_of_several_scenarios_the_worst_is_reported():
     twice = Scenario("twice", {"u": np.full(21, 2.0)})
-    found = worst_plant(TOY, LAW, [SCENARIO, twice], [Limit("y", high=1.0)], BOX, runs=201)
+    found = worst_plant(Search(TOY, LAW, [SCENARIO, twice], [Limit("y", high=1.0)], BOX, runs=201))
     assert found.scenario.name == "twice"
     assert found.excess == pytest.approx(2.0 * (2.4 - 0.4) - 1.0, abs=0.01)
     assert found.runs <= 201
@@ -157,7 +158,7 @@ def counted(monkeypatch):
 @pytest.mark.parametrize("search", [worst_plant, at_random])
 @pytest.mark.parametrize("runs", [2, 9, 40, 203])
 def test_the_budget_is_kept_and_nothing_worse_than_the_answer_was_run(counted, search, runs):
-    found = search(TOY, LAW, SCENARIO, [Limit("y", high=0.3)], BOX, runs=runs, seed=1)
+    found = search(Search(TOY, LAW, SCENARIO, [Limit("y", high=0.3)], BOX, runs=runs, seed=1))
     assert len(counted) == found.runs <= runs
     assert found.runs == runs  # an interior optimum uses all of it
     assert found.excess == max(counted) - 0.3
@@ -181,10 +182,10 @@ def test_the_same_seed_gives_the_same_answer_and_another_one_another(tmp_path, m
 
 
 def test_random_machines_differ_by_seed_and_fill_the_box(counted):
-    found = at_random(TOY, LAW, SCENARIO, [Limit("y", low=-1.0)], BOX, runs=400, seed=0)
+    found = at_random(Search(TOY, LAW, SCENARIO, [Limit("y", low=-1.0)], BOX, runs=400, seed=0))
     assert found.share < worst(Limit("y", low=-1.0), runs=60).share
     assert len(set(counted)) > 390
-    assert at_random(TOY, LAW, SCENARIO, [Limit("y", low=-1.0)], BOX, runs=40, seed=1).point != found.point
+    assert at_random(Search(TOY, LAW, SCENARIO, [Limit("y", low=-1.0)], BOX, runs=40, seed=1)).point != found.point
 
 
 def test_what_cannot_be_searched_is_refused():
@@ -211,7 +212,7 @@ def test_what_cannot_be_searched_is_refused():
 
 def test_a_run_that_leaves_the_range_is_the_worst_and_can_be_stored(tmp_path):
     plant = replace(TOY, limits={"x": (-2.8, 10.0)})
-    found = worst_plant(plant, LAW, SCENARIO, [Limit("y", low=-3.0), Limit("u", high=2.0)], BOX, runs=200)
+    found = worst_plant(Search(plant, LAW, SCENARIO, [Limit("y", low=-3.0), Limit("u", high=2.0)], BOX, runs=200))
     assert found.excess == found.share == found.history[-1] == np.inf
     assert (found.bound, found.broken) == ("range", True)
     assert found.nominal < 0.0
@@ -243,11 +244,11 @@ ROBOT_BOX = (
 
 @pytest.fixture(scope="module")
 def robot():
-    return worst_plant(WELDING_ROBOT, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, ROBOT_BOX, runs=200, seed=2)
+    return worst_plant(Search(WELDING_ROBOT, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, ROBOT_BOX, runs=200, seed=2))
 
 
 def test_a_search_finds_more_than_ten_times_as_many_random_machines(robot):
-    random = at_random(WELDING_ROBOT, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, ROBOT_BOX, runs=2000, seed=2)
+    random = at_random(Search(WELDING_ROBOT, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, ROBOT_BOX, runs=2000, seed=2))
     assert robot.share > random.share > robot.nominal
     assert robot.share == robot.history[-1]  # confirmed by a run by itself, in the last bit
 
@@ -259,7 +260,8 @@ def test_a_law_that_is_asked_step_by_step_gives_the_same_worst_machine():
             for name in ("name", "dt", "references", "measured", "schedule", "actuated", "init", "step"):
                 setattr(self, name, getattr(ROBOT_LAW, name))
 
-    both = [worst_plant(WELDING_ROBOT, law, ROBOT_SCENARIO, ROBOT_LIMITS, ROBOT_BOX, runs=20) for law in (ROBOT_LAW, Asked())]
+    asked = Search(WELDING_ROBOT, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, ROBOT_BOX, runs=20)
+    both = [worst_plant(replace(asked, controller=law)) for law in (ROBOT_LAW, Asked())]
     assert both[0].point == both[1].point
     np.testing.assert_allclose(both[0].history, both[1].history, rtol=1e-9)
 
@@ -284,7 +286,7 @@ def test_a_stored_counterexample_stands_alone_and_is_found_again(robot, tmp_path
 
 def test_what_a_plant_was_extended_by_is_in_the_file(tmp_path):
     extended = extension(WELDING_ROBOT, "welding-robot", {"b1": 0.5}, {"coulomb@rail": {"level": 0.2}}).of(WELDING_ROBOT)
-    found = worst_plant(extended, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, tolerance_box(extended, ["m1"]), runs=5)
+    found = worst_plant(Search(extended, ROBOT_LAW, ROBOT_SCENARIO, ROBOT_LIMITS, tolerance_box(extended, ["m1"]), runs=5))
     assert found.effects["coulomb@rail"]["level"] == 0.2
     stored = found.counterexample("welding-robot", {})
     for plant in (WELDING_ROBOT, extended, replace(extended, effects={"arm-gravity@rail": {"sine": 1.0}})):
@@ -306,7 +308,7 @@ def test_an_effect_with_a_phase_is_tried_at_every_phase(tmp_path):
     key = "torque-ripple@rail"
     assert [str(d) for d in box] == [f"{key}:amplitude", f"{key}:phase", f"{key}:order"]
     limit, scenario = Limit("v", high=0.3, unit="m/s"), Scenario("steps", {"v_set": np.repeat([0.0, 0.2], [50, 150])})
-    found = worst_plant(WELDING_ROBOT, ROBOT_LAW, scenario, [limit], box, runs=150, seed=1)
+    found = worst_plant(Search(WELDING_ROBOT, ROBOT_LAW, scenario, [limit], box, runs=150, seed=1))
     size = found.effects[key]
     assert np.hypot(size["cosine"], size["sine"]) <= 0.35 * (1 + 1e-12)
     assert found.point[f"{key}:amplitude"] == pytest.approx(np.hypot(size["cosine"], size["sine"]))

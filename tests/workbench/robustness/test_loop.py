@@ -10,7 +10,8 @@ from tests.workbench.robustness.loops import DT, law, machine_run, model, two_re
 from workbench.errors import InputError
 from workbench.intervals.model import Simulation
 from workbench.intervals.regressors import ARX, FIR
-from workbench.robustness.loop import UncertainLoop, close
+from workbench.robustness.loop import close
+from workbench.robustness.uncertain import UncertainLoop
 
 
 def drawn(models, N, seed=1):

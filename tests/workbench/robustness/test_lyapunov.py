@@ -8,9 +8,9 @@ import pytest
 
 from tests.workbench.robustness.loops import robot
 from workbench.errors import InputError
-from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.lyapunov import ScheduledCertificate, certificate, largest, moves, products, scheduled_loop
 from workbench.robustness.margins import margin
+from workbench.robustness.uncertain import UncertainLoop
 
 
 def turning(rho: float) -> UncertainLoop:

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from tests.workbench.robustness.loops import lagged_machine, machine_run, two_regressions
 from workbench.errors import InputError
-from workbench.robustness.loop import UncertainLoop, close
+from workbench.robustness.loop import close
 from workbench.robustness.margins import (
     CLOSE,
     Certificate,
@@ -20,6 +20,7 @@ from workbench.robustness.margins import (
     lost_on_an_edge,
     margin,
 )
+from workbench.robustness.uncertain import UncertainLoop
 
 
 def drawn(seed, n=4, p=3, q=1) -> UncertainLoop:

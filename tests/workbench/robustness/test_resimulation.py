@@ -23,7 +23,8 @@ from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
 from workbench.robustness.envelopes.course import Course
 from workbench.robustness.envelopes.kernel import kernel
-from workbench.robustness.loop import course, course_of, driven, machine_of, with_rates
+from workbench.robustness.loop import course, course_of, driven, with_rates
+from workbench.robustness.machine import machine_of
 from workbench.robustness.verdict import Bound, Status, bounds_kept
 
 pytestmark = pytest.mark.slow

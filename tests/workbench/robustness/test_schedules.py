@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from workbench.errors import InputError
-from workbench.robustness.loop import UncertainLoop
 from workbench.robustness.lyapunov import scheduled_loop
 from workbench.robustness.margins import margin
 from workbench.robustness.schedules import ScheduledFalsified, falsified_schedule, scheduled_margin
+from workbench.robustness.uncertain import UncertainLoop
 
 pytestmark = pytest.mark.slow
 

@@ -16,10 +16,11 @@ from tests.workbench.robustness.test_lyapunov import turning
 from workbench.intervals.boxes import smallest_box
 from workbench.intervals.regressors import ARX, FIR
 from workbench.intervals.semantics import InclusionAll, InclusionExact, InclusionPaper, Overlap
-from workbench.robustness.loop import UncertainLoop, close
+from workbench.robustness.loop import close
 from workbench.robustness.lyapunov import largest, scheduled_loop
 from workbench.robustness.margins import Margin, falsified, margin
 from workbench.robustness.schedules import scheduled_margin
+from workbench.robustness.uncertain import UncertainLoop
 
 MOST = 9  # powers of ten
 

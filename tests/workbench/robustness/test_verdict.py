@@ -14,11 +14,13 @@ from workbench.intervals.regressors import ARX
 from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.falsify.counterexample import same
-from workbench.robustness.loop import UncertainLoop, driven, machine_of
 from workbench.robustness.loop import course as along
+from workbench.robustness.loop import driven
+from workbench.robustness.machine import machine_of
 from workbench.robustness.margins import corners, margin
 from workbench.robustness.rests import Rest
 from workbench.robustness.sequences import Growth, load_sequence
+from workbench.robustness.uncertain import UncertainLoop
 from workbench.robustness.verdict import Bound, Kept, Status, Verdict, bounds_kept, overall, refuting, stability
 
 N = 60

@@ -15,7 +15,8 @@ from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, Powers, Predictor, Term
 from workbench.robustness.envelopes.course import nominal
 from workbench.robustness.limits import Limit
-from workbench.robustness.loop import course, course_of, driven, machine_with_errors, with_rates
+from workbench.robustness.loop import course, course_of, driven, with_rates
+from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.verdict import Bound, Status
 from workbench.verification.model import _asked, _by_the_law, _in_motion, _stops
 

@@ -68,12 +68,8 @@ class Problem:
     def backward(self, M: np.ndarray, mu: np.ndarray, floor: bool = False, slack: np.ndarray | None = None) -> bool:
         """V of every sample into P, q, v; False where R < GUARD diag(mu). floor: M and mu are raised until it is not."""
         extra = np.zeros(len(self.c) + 2) if slack is None else slack
-        return bool(
-            riccati(
-                self.A, self.B, self.C, self.mode, M, mu, self.z, self.c, self.f, extra, GUARD, floor,
-                self.P, self.q, self.v, self.G, self.r,
-            )
-        )  # fmt: skip
+        loop, into = (self.A, self.B, self.C, self.mode), (self.P, self.q, self.v, self.G, self.r)
+        return bool(riccati(loop, (M, mu), self.z, (self.c, self.f), extra, GUARD, floor, into))
 
     def started(self, M: np.ndarray) -> Attempt | None:
         """The first multipliers, raised where R would not be positive definite."""

@@ -10,61 +10,32 @@ worst cases inside the box (a resonance that meets a disturbance) have no corner
 Source: Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772.
 """
 
-from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
 
-from workbench.physics.controller import Controller, Stepped
-from workbench.physics.plant import Plant
-from workbench.robustness.falsify.box import Dimension
-from workbench.robustness.falsify.trials import LOST, POPULATION, Say, Trials
+from workbench.robustness.falsify.trials import LOST, POPULATION, Search, Trials
 from workbench.robustness.falsify.worst import Worst
-from workbench.robustness.limits import Limit
-from workbench.simulation import Scenario
 
 NEAR, WIDE = 0.15, 0.3  # first step of a search from the best point and from a random one, in widths of the box
 ENOUGH = 1e-5  # of what a bound allows, below which a search no longer improves and the next one begins
 CORNERS = 0.4  # of the budget, at most, for single numbers going from end to end
 
 
-def worst_plant(
-    plant: Plant,
-    controller: Controller | Stepped,
-    scenarios: Scenario | Sequence[Scenario],
-    limits: Sequence[Limit],
-    dimensions: Sequence[Dimension],
-    *,
-    runs: int = 1000,
-    seed: int = 0,
-    bumpless: bool = True,
-    progress: Say = lambda _: None,
-) -> Worst:
+def worst_plant(search: Search) -> Worst:
     """The worst machine found with at most `runs` runs, the last of which confirms it; see the module.
 
     Every machine goes through all scenarios. The same seed gives the same answer.
     """
-    trials = Trials(plant, controller, scenarios, limits, dimensions, runs, bumpless, progress)
+    trials = Trials(search)
     best = _search_corners(trials)
-    _search_inside(trials, best, seed)
+    _search_inside(trials, best, search.seed)
     return trials.confirmed()
 
 
-def at_random(
-    plant: Plant,
-    controller: Controller | Stepped,
-    scenarios: Scenario | Sequence[Scenario],
-    limits: Sequence[Limit],
-    dimensions: Sequence[Dimension],
-    *,
-    runs: int = 1000,
-    seed: int = 0,
-    bumpless: bool = True,
-    progress: Say = lambda _: None,
-) -> Worst:
+def at_random(search: Search) -> Worst:
     """The same budget on machines drawn evenly from the box, the nominal one first: what a search is to be compared with."""
-    trials = Trials(plant, controller, scenarios, limits, dimensions, runs, bumpless, progress)
-    random = np.random.default_rng(seed)
+    trials, random = Trials(search), np.random.default_rng(search.seed)
     trials.of(trials.box.nominal[None])
     while trials.room and not trials.lost:
         trials.of(random.uniform(size=(min(trials.room, trials.together), trials.box.n)))

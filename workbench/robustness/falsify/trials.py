@@ -27,6 +27,25 @@ Say = Callable[[str], None]
 
 
 @record
+class Search:
+    """What is asked: which machine of the box breaks a limit most, in a loop that runs the scenarios.
+
+    dimensions: the box; runs: at most, over all machines and scenarios; bumpless: the law takes over from the inputs of the
+    start.
+    """
+
+    plant: Plant
+    controller: Controller | Stepped
+    scenarios: Scenario | Sequence[Scenario]
+    limits: Sequence[Limit]
+    dimensions: Sequence[Dimension]
+    runs: int = 1000
+    seed: int = 0
+    bumpless: bool = True
+    progress: Say = lambda _: None
+
+
+@record
 class _Scored:
     """Of R machines: the largest share (R), -inf where one could not be run, and the share by bound of each limit (R, K)."""
 
@@ -37,21 +56,12 @@ class _Scored:
 class Trials:
     """Machines that are run, within a budget, and the worst of them."""
 
-    def __init__(
-        self,
-        plant: Plant,
-        controller: Controller | Stepped,
-        scenarios: Scenario | Sequence[Scenario],
-        limits: Sequence[Limit],
-        dimensions: Sequence[Dimension],
-        runs: int,
-        bumpless: bool,
-        progress: Say,
-    ):
-        self.plant, self.controller, self.bumpless, self.progress = plant, controller, bumpless, progress
-        self.scenarios = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
-        self.limits = resolved(limits, plant, controller)
-        self.box, self.dimensions = ParameterBox(plant, dimensions), tuple(dimensions)
+    def __init__(self, search: Search):
+        plant, runs = search.plant, search.runs
+        self.plant, self.controller, self.bumpless, self.progress = plant, search.controller, search.bumpless, search.progress
+        self.scenarios = [search.scenarios] if isinstance(search.scenarios, Scenario) else list(search.scenarios)
+        self.limits = resolved(search.limits, plant, search.controller)
+        self.box, self.dimensions = ParameterBox(plant, search.dimensions), tuple(search.dimensions)
         self.budget = (runs - 1) // max(len(self.scenarios), 1)  # machines; the last run confirms
         if not self.scenarios or self.budget < 1:
             mend = f"at least {len(self.scenarios) + 1}: each scenario, and one more"

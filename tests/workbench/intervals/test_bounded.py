@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from studies.bounded import bounded, cover_bounded
 from workbench.data import Dataset, Experiment
 from workbench.identification.lti import LTI
+from workbench.intervals.bounded import bounded, cover_bounded
 
 
 def machine(name, seed, size=1.0, N=300):

@@ -10,7 +10,8 @@ from workbench.records import RecordError
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.sensitivity import Index, response_surface
-from workbench.sweeps import Rows, Sweep
+from workbench.sweeps.design import Sweep
+from workbench.sweeps.rows import Rows
 
 SHOWN = 12  # outputs of a page; the others are in its tables
 ERRORS = 20  # of a table
