@@ -35,6 +35,8 @@ from workbench.provenance import versions
 from workbench.records import field, record
 from workbench.toml import Table, kind, read_toml
 
+__all__ = ["load_sweep", "read_rows", "run_sweep"]  # for users; the rest is for the workbench
+
 DRAWN = ("random", "latin-hypercube", "sobol", "morris", "sobol-indices")
 DESIGNS = ("grid", "list", *DRAWN)
 LEVELS = 4  # of a factor on a Morris trajectory

@@ -57,7 +57,7 @@ def test_a_plant_file_does_not_run_the_code_that_it_names(tmp_path):
 
 
 LAW = """
-from workbench import Domain, Effect, EffectParameter
+from workbench.physics.effects import Domain, Effect, EffectParameter
 
 def law(e, shaft):
     share = shaft.speed / e.speed
@@ -71,7 +71,8 @@ BRAKE = Effect(
 )
 """
 WHEEL = """
-from workbench import Channel, Parameter, Plant, Shaft
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Shaft
 from {law} import BRAKE
 
 PLANT = Plant(
