@@ -23,20 +23,25 @@ def test_every_code_block_runs(page, tmp_path, monkeypatch):
     before = set(sys.modules)
     names: dict = {"__name__": "page"}
     try:
-        for language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
-            assert language in ("python", "sh", "toml"), f"a block of {page.name} that nothing runs: {language!r}"
-            if language == "toml":  # a file, which its first line names
-                Path(re.match(r"# (\w+\.toml)\n", code)[1]).write_text(code, encoding="utf-8")
-            elif language == "python":
-                if title := re.match(r"# (\w+\.py)\n", code):
-                    Path(title[1]).write_text(code, encoding="utf-8")
-                exec(compile(code, f"{page.name}", "exec"), names)  # the page's own code, not input
-            else:
-                run_commands(code)
+        run_blocks(page, names)
     finally:
         for name in set(sys.modules) - before:
             if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
                 del sys.modules[name]
+
+
+def run_blocks(page, names):
+    """Run a page in the working folder; `names` gets what its Python makes."""
+    for language, code in BLOCK.findall(page.read_text(encoding="utf-8")):
+        assert language in ("python", "sh", "toml"), f"a block of {page.name} that nothing runs: {language!r}"
+        if language == "toml":  # a file, which its first line names
+            Path(re.match(r"# (\w+\.toml)\n", code)[1]).write_text(code, encoding="utf-8")
+        elif language == "python":
+            if title := re.match(r"# (\w+\.py)\n", code):
+                Path(title[1]).write_text(code, encoding="utf-8")
+            exec(compile(code, f"{page.name}", "exec"), names)  # the page's own code, not input
+        else:
+            run_commands(code)
 
 
 def run_commands(code):

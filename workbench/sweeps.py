@@ -177,6 +177,9 @@ def load_sweep(path: str | Path) -> Sweep:
     trajectories or base points (a power of two). seeds: each set once for every one. [parameters.NAME]: values, or low and high,
     with scale = "log" for one that varies by factors, and count levels in a grid. outputs: those wanted, by default all. [fixed]:
     what stays.
+
+        >>> [point.values for point in load_sweep("sweep.toml").points()]
+        [{'J': 0.001}, {'J': 0.002}, {'J': 0.004}]
     """
     top = read_toml(path, KEYS)
     run, design = top.text("run", None), check_known("design", top.text("design", "grid"), DESIGNS, file=path)
@@ -302,6 +305,10 @@ def run_sweep(
     A run that fails is a row with its error. Killed at any moment, only the blocks under way are lost: single runs, or as many as
     take half a second. Raises InputError for a file that exists (without resume), that another sweep, job or version wrote, or
     that another process writes to.
+
+        >>> done = run_sweep(load_sweep("sweep.toml"), TimeConstant(), "sweep.sqlite")
+        >>> done.runs, done.failed
+        (3, 0)
     """
     database, began = Path(database), time.monotonic()
     names = tuple(p.name for p in sweep.factors)
@@ -570,7 +577,14 @@ class Rows:
 
 
 def read_rows(database: str | Path) -> Rows:
-    """Every row that is there, also while the sweep goes on."""
+    """Every row that is there, also while the sweep goes on: names, units, and columns (runs,) of numbers.
+
+    Raises InputError for a file that holds no sweep.
+
+        >>> done = run_sweep(load_sweep("sweep.toml"), TimeConstant(), "rows.sqlite")
+        >>> read_rows("rows.sqlite").column("time constant").round(3)
+        array([0.067, 0.133, 0.267])
+    """
     if not Path(database).is_file():
         raise InputError("no such file", file=database, mend="check the path")
     with closing(_connected(Path(database))) as connection:

@@ -39,7 +39,10 @@ def calibrate(
     the records to. anyway: take records that do not look like this plant's. accept: hand the plant out although it is worse on
     `held_out` records than the one it replaces. Raises InputError for records, names and bounds that do not fit the plant.
 
-        >>> calibrate(plant, read("a.csv"), read("b.csv")).plant                                            # doctest: +SKIP
+    p = nominal exp(sigma theta), theta ~ N(0, 1) before the records, sigma = tolerance / sqrt 3; docs/methods.md has the rest.
+
+        >>> print(calibrate(MOTOR, data, held_out).sentences[0])
+        4 parameters fitted; the records decide J, b.
     """
     given = prepared(plant, records, held_out, dt, anyway)
     progress("fitting parameters, starts and noise levels")
@@ -53,7 +56,12 @@ def calibrate(
 class CalibrationResult(PlantAnswer):
     """Fitted parameters with 95 % intervals, and the errors of the plant before and after.
 
+    `plant` is the fitted plant, `sentences` the answer in words; `save` writes it to a folder.
     nominal: the plant before; before, after: both along the records that errors are told of.
+
+        >>> found = calibrate(MOTOR, data, parameters=["J", "b"])
+        >>> [f"{p.name} {p.value:.4f} {p.unit}" for p in found.plant.parameters[:2]]
+        ['J 0.0020 kg m^2', 'b 0.0139 N m s/rad']
     """
 
     nominal: Plant

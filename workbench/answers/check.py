@@ -57,7 +57,8 @@ def check(
     default what the model is off. nodes: schedule values at which stability is proved; rate [1/s]: prove it for a schedule that
     moves by up to that, too. runs: of the plant for each limit. Raises InputError for what does not fit together.
 
-        >>> check(law, "limits.toml", model=model, records=data).status                                     # doctest: +SKIP
+        >>> check(law, limits, plant=MOTOR, runs=20).status.value
+        'UNDECIDED'
     """
     check_controller(controller, getattr(controller, "name", "controller"))
     asked = _limits(limits)
@@ -107,7 +108,12 @@ def check(
 class CheckResult(Answer):
     """Verdicts by part, on the model and on the plant.
 
+    `status` is the worst of `verdicts`, `sentences` say all of them; `save` writes a folder with what runs again.
     trial: one run of the loop; boxes: what the records leave open of the model, in words.
+
+        >>> answer = check(law, limits, plant=MOTOR, runs=20)
+        >>> [f"{verdict.claim}: {verdict.status.value}" for verdict in answer.verdicts]
+        ['stable: UNDECIDED', 'n: high: PASSED']
     """
 
     controller: Any

@@ -47,7 +47,9 @@ def diagnose(
     look like this plant's. accept: hand the extended plant out although it is worse on held-out records than the one it
     replaces. Raises InputError for records that do not fit the plant. What is computed: `workbench.diagnosis`.
 
-        >>> diagnose(plant, read("a.csv"), read("b.csv")).plant                                             # doctest: +SKIP
+        >>> found = diagnose(MOTOR, data, held_out)
+        >>> [f"{cause.effect}@{cause.place}" for cause in found.causes]
+        ['coulomb@shaft']
     """
     given = prepared(plant, records, held_out, dt, anyway)
     tests = proposable(plant, templates, given.own)
@@ -58,7 +60,15 @@ def diagnose(
 
 @record
 class DiagnosisResult(PlantAnswer):
-    """What was found on records of a plant. nominal: the plant before; stages: it along the records that errors are told of."""
+    """What was found on records of a plant.
+
+    `plant` is the extended plant, `causes` are named with their sizes, the strongest first, `finding` is the verdict in one word.
+    nominal: the plant before; stages: it along the records that errors are told of.
+
+        >>> found = diagnose(MOTOR, data, held_out)
+        >>> f"{found.finding.value}: {found.causes[0].effect} of {found.plant.effects['coulomb@shaft']['level']:.2f} N m"
+        'named: coulomb of 0.10 N m'
+    """
 
     nominal: Plant
     diagnosis: Diagnosis

@@ -22,6 +22,11 @@ __all__ = [
 EFFECTS: dict[str, Effect] = {
     effect.id: effect for family in (shaft, reel, pulley, span, winding, robot, actuator, sensor) for effect in family.EFFECTS
 }
+"""The catalogue by the id of each effect; docs/effects.md lists it.
+
+    >>> EFFECTS["coulomb"].equation
+    'torque = -level * tanh(v / width)'
+"""
 
 
 def effects_of(family: str, own: Sequence[Effect] = ()) -> tuple[Effect, ...]:
