@@ -31,6 +31,7 @@ import numpy as np
 
 from workbench.errors import InputError, check_known
 from workbench.files import write_bytes, write_text
+from workbench.progress import Progress, Steps, silent
 from workbench.provenance import versions
 from workbench.records import field, record
 from workbench.toml import Table, kind, read_toml
@@ -51,8 +52,6 @@ class StoppedError(InputError):
 
 
 PASSING = (MemoryError, ImportError, StoppedError)  # what ends the sweep: the same run may come to an end another time
-
-Say = Callable[[str], None]
 
 
 @record
@@ -296,7 +295,7 @@ def run_sweep(
     resume: bool = False,
     jobs: int = 1,
     scheduler: str | None = None,
-    progress: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Swept:
     """A row for every point, `jobs` processes or threads side by side; resume: those that `database` holds are not run again.
 
@@ -322,20 +321,18 @@ def run_sweep(
     with _opened(database, sweep, job, outputs, resume) as connection:
         have = {run for (run,) in connection.execute("SELECT run FROM runs")}
         todo = [point for point in points if point.run not in have]
-        made = 0
+        steps = Steps(progress, len(points), "runs", before=len(points) - len(todo))
         threaded = job.on_threads(jobs) if jobs > 1 and scheduler is None else None
         for block, answers, seconds in _answers(threaded or job, todo, 1 if threaded else jobs, scheduler):
             _put(connection, block, answers, seconds, names, tuple(outputs))
-            made += len(block)
-            progress(_told(connection, len(points), made, len(todo), time.monotonic() - began))
+            steps.done(len(block), aside=_failures(connection))
         total, failed = connection.execute("SELECT COUNT(*), COUNT(NULLIF(error, '')) FROM runs").fetchone()
-    return Swept(total, failed, made, time.monotonic() - began)
+    return Swept(total, failed, steps.made, time.monotonic() - began)
 
 
-def _told(connection: sqlite3.Connection, whole: int, made: int, todo: int, seconds: float) -> str:
+def _failures(connection: sqlite3.Connection) -> str:
     (failed,) = connection.execute("SELECT COUNT(*) FROM runs WHERE error != ''").fetchone()
-    left = seconds / made * (todo - made)
-    return f"{whole - todo + made} of {whole} runs" + f", {failed} failed" * (failed > 0) + f", {left:.0f} s left"
+    return f"{failed} failed" if failed else ""
 
 
 def _answers(

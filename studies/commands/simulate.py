@@ -11,7 +11,7 @@ import numpy as np
 
 from plants import PLANTS
 from studies.arguments import Chosen, choose_controller, choose_plant, names, parse_effects, parse_numbers, run_folder
-from studies.terminal import say
+from studies.terminal import note, say
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -30,6 +30,9 @@ def run(options: Namespace) -> int:
     from workbench.simulation import replay
     from workbench.simulation import simulate as run_plant
 
+    if options.old_quiet:
+        options.noise_free = True
+        note("--quiet is --noise-free now; from the next version on it silences progress, as in the other commands")
     if options.replay:
         from studies.replays import run as run_replay
 
@@ -72,7 +75,7 @@ def run(options: Namespace) -> int:
         if kind == "plan":
             todo = plan(machine, name)
             scenario = todo.scenario(options.seed)
-            scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=start)
+            scenario = replace(scenario, seed=None if options.noise_free else scenario.seed, start=start)
             applied = todo.effects_with(effects)
             law = own_law or todo.controller
             done = run_plant(plant, law, scenario, parameters=parameters, effects=applied, bumpless=own_law is not None)
@@ -104,7 +107,7 @@ def run(options: Namespace) -> int:
                 entry["statuses"] = _statuses(done.memories)
         summary.append(entry)
     configuration = {
-        "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "quiet": options.quiet,
+        "plant": options.plant, "effects": effects, "parameters": parameters, "start": start, "noise_free": options.noise_free,
         "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration, "limits": options.limits,
         "effects_of_plant": plant.effects,
         "effects_of_experiments": {name: plan(machine, name).effects for name in chosen},
@@ -140,7 +143,7 @@ def _held(options: Namespace, found: Chosen, law: Any, effects: EffectSizes, par
     from workbench.simulation import Scenario
     from workbench.simulation import simulate as run_plant
 
-    seed = None if options.quiet else options.seed
+    seed = None if options.noise_free else options.seed
     if options.limits:
         run = load_limits(options.limits).run
         if run is None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, PlantAnswer, Progress, Records, prepared
+from workbench.answers.answer import Answer, PlantAnswer, Records, prepared
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.calibrate import Bounds, Calibration, Fitted, Trajectory, gains, trajectories
@@ -19,6 +19,7 @@ from workbench.diagnosis.calibrate import calibrate as fitted
 from workbench.files import write_json
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Picture, Provenance, Report, Section, Table
@@ -31,7 +32,7 @@ CALIBRATION_FILE = "calibration.json"
 def calibrate(
     plant: Plant, records: Dataset, held_out: Dataset | None = None, *, parameters: Sequence[str] | None = None,
     bounds: Bounds | None = None, dt: float | None = None, anyway: bool = False, accept: bool = False,
-    progress: Progress = lambda _: None,
+    progress: Progress = silent,
 ) -> "CalibrationResult":  # fmt: skip
     """Parameters of `plant` that make its one-step predictions of `records` most likely, their data sheet taken as prior.
 

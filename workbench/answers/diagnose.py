@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, PlantAnswer, Progress, Records, prepared, texts
+from workbench.answers.answer import Answer, PlantAnswer, Records, prepared, texts
 from workbench.answers.calibrate import traces
 from workbench.answers.verdict import ended, next_step, sentences, stated, where
 from workbench.data import Channel, Dataset, Experiment
@@ -24,6 +24,7 @@ from workbench.diagnosis.stages import StageError, Stages, stages
 from workbench.files import nullable, write_json
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.readers import write_csv
 from workbench.records import record
 from workbench.report import figures
@@ -38,7 +39,7 @@ WINDOW = 60  # samples of a picture that shows a shift in time
 
 def diagnose(
     plant: Plant, records: Dataset, held_out: Dataset | None = None, *, templates: Sequence[Template] = (),
-    dt: float | None = None, anyway: bool = False, accept: bool = False, progress: Progress = lambda _: None,
+    dt: float | None = None, anyway: bool = False, accept: bool = False, progress: Progress = silent,
 ) -> "DiagnosisResult":  # fmt: skip
     """What `plant` lacks to explain `records`: its name, its size, how sure it is, and what it gains on `held_out` records.
 

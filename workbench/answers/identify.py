@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, Progress, Records, as_dataset, refused
+from workbench.answers.answer import Answer, Records, as_dataset, refused
 from workbench.answers.comparison import comparison, headline, score_table
 from workbench.answers.envelopes import Method as IntervalMethod
 from workbench.answers.envelopes import described_modes, fit_outputs
@@ -28,6 +28,7 @@ from workbench.intervals.coverage import cover
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import MUCH, LPVModel
 from workbench.metrics import Horizon, Score, score
+from workbench.progress import Progress, silent
 from workbench.records import record
 from workbench.report.blocks import Report
 from workbench.report.page import write_report
@@ -39,7 +40,7 @@ def identify(
     records: Dataset, held_out: Dataset | None = None, *, methods: Mapping[str, Method] | Sequence[str] | None = None,
     best: bool | None = None, interval: IntervalMethod | None = None, dt: float | None = None, horizon: int = 25,
     accept: bool = False,
-    progress: Progress = lambda _: None,
+    progress: Progress = silent,
 ) -> "IdentificationResult":  # fmt: skip
     """LPV models of the outputs of `records` from their inputs over their schedule, scored on `held_out` records.
 

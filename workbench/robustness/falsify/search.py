@@ -17,8 +17,9 @@ import numpy as np
 
 from workbench.physics.controller import Controller, Stepped
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.robustness.falsify.box import Dimension
-from workbench.robustness.falsify.trials import LOST, POPULATION, Say, Trials
+from workbench.robustness.falsify.trials import LOST, POPULATION, Trials
 from workbench.robustness.falsify.worst import Worst
 from workbench.robustness.limits import Limit
 from workbench.simulation import Scenario
@@ -38,7 +39,7 @@ def worst_plant(
     runs: int = 1000,
     seed: int = 0,
     bumpless: bool = True,
-    progress: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Worst:
     """The worst machine found with at most `runs` runs, the last of which confirms it; see the module.
 
@@ -60,7 +61,7 @@ def at_random(
     runs: int = 1000,
     seed: int = 0,
     bumpless: bool = True,
-    progress: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Worst:
     """The same budget on machines drawn evenly from the box, the nominal one first: what a search is to be compared with."""
     trials = Trials(plant, controller, scenarios, limits, dimensions, runs, bumpless, progress)
