@@ -229,8 +229,8 @@ def _against_random(
     assert run_ is not None
     scenario: Scenario = run_.scenario(WINDING, law)
     budget = 200 if quick else 1000
-    searched = worst_plant(WINDING, law, scenario, [limit], box, runs=budget, seed=seed)
-    chance = at_random(WINDING, law, scenario, [limit], box, runs=budget if quick else 10 * budget, seed=seed)
+    searched = worst_plant(WINDING, law, scenario, [limit], box, runs=budget, seed=seed, progress=progress)
+    chance = at_random(WINDING, law, scenario, [limit], box, runs=budget if quick else 10 * budget, seed=seed, progress=progress)
     n = max(len(searched.history), len(chance.history))
 
     def padded(history: np.ndarray) -> np.ndarray:
