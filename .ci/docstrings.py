@@ -12,8 +12,12 @@ MARKUP = re.compile(r"([\\*_\[\]<])")
 
 
 def escaped(text: str) -> str:
-    """The text as Markdown that reads the same; a line that is indented by four is a block of code."""
-    lines = [line if line.startswith("    ") else _line(line) for line in text.split("\n")]
+    """The text as Markdown that reads the same; a line that is indented by four is a block of code, and so is an
+    example from its first `>>>` to the next empty line."""
+    lines, example = [], False
+    for line in text.split("\n"):
+        example = bool(line) and (example or line.startswith(">>> "))
+        lines.append(f"    {line}" if example else line if line.startswith("    ") else _line(line))
     return "\n".join(lines)
 
 

@@ -38,7 +38,8 @@ class ScheduledPIDDesign:
     input. setpoint: the usual one by output, which is held without the integral. filter [s]: of the derivative, default two
     samples. setpoint_weight: share of the set-point in the proportional part. robust_to: models that must be kept too.
 
-        >>> ScheduledPIDDesign(sensitivity=1.4).on(load_model("ssm.json"))                                  # doctest: +SKIP
+        >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
+        array([[0.32]])
     """
 
     sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
@@ -84,7 +85,8 @@ class MPCDesign:
     input, default those of the fallback; keep: (lowest, highest) by output. fallback: the PID for when all else fails, designed
     with default bounds and these limits where none is given. setpoint: the usual one by output.
 
-        >>> MPCDesign(keep={"theta": (-20.0, 20.0)}).on(load_model("ssm.json"))                             # doctest: +SKIP
+        >>> MPCDesign(horizon=10, keep={"n": (-30.0, 30.0)}, fallback=law).on(model).measured
+        ('n',)
     """
 
     horizon: int = 20

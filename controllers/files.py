@@ -14,7 +14,13 @@ KINDS: dict[str, Any] = {scheduled_pid.KIND: scheduled_pid.ScheduledPID, mpc.KIN
 
 
 def save_controller(controller: Any, path: str | Path) -> Path:
-    """Write a controller of a listed kind."""
+    """Write a controller of a listed kind as a JSON file, which `load_controller` reads; returns its path.
+
+    Raises InputError for a law of another kind.
+
+        >>> save_controller(law, "pid.json").name
+        'pid.json'
+    """
     return write_json(path, content_of(controller))
 
 
@@ -22,6 +28,9 @@ def load_controller(path: str | Path, find_plant: Callable[[str], Plant] | None 
     """Read a file written by `save_controller`; what is missing or foreign is named.
 
     find_plant: gives the plant that a nonlinear MPC predicts with, from what its file calls it. Only such a file needs it.
+
+        >>> load_controller(save_controller(law, "pid.json")).actuated
+        ('U',)
     """
     return controller_of(read_json(path), path, find_plant)
 

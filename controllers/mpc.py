@@ -80,9 +80,15 @@ class MPCState(NamedTuple):
 
 @record
 class MPC(Receding):
-    """The law; see the module. horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
+    """minimise sum |y_i - r_i|_Q^2 + |u_i - u_(i-1)|_S^2 + .. over the horizon, on the model along its schedule, within limits.
+
+    horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
 
     fallback: a PID on the same channels for when nothing else is left. tube: tightened limits, proved when the law is made.
+
+        >>> u, memory = mpc.step(mpc.init(), r=np.array([20.0]), y=np.array([0.0]), rho=5.0)
+        >>> u.round(1), memory.status.value
+        (array([12.]), 'optimal')
     """
 
     model: LPVModel

@@ -77,10 +77,16 @@ class NMPCState(NamedTuple):
 
 @record
 class NMPC(Receding):
-    """The law; see the module. horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
+    """minimise sum |h(x_i) - r_i|_Q^2 + |u_i - u_(i-1)|_S^2 + .. such that x_(i+1) = F(x_i, u_i): nonlinear MPC on a plant.
+
+    horizon in samples; low, high (nu), rate [1/s]; y_low, y_high (ny), infinite where there is none.
 
     plant, and where it is found: `base`, as in a plant file. actuated, controlled: inputs and outputs on which the fallback law
     works too. All outputs of the plant are measured.
+
+        >>> from controllers.nmpc import design_nmpc
+        >>> design_nmpc(MOTOR, fallback=law, horizon=10).actuated
+        ('U',)
     """
 
     plant: Plant

@@ -75,6 +75,10 @@ class PIDDesign:
 
     low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the same of the law for that knot only. scale (ny): what
     the outputs were counted in.
+
+        >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
+        >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
+        'largest |S| 1.2 at 25 schedule values'
     """
 
     law: ScheduledPID

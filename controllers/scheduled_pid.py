@@ -55,12 +55,17 @@ LAW = "u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the de
 
 @record
 class ScheduledPID:
-    """u from r and y by a PID law with gains K(rho) = sum_j K_j phi_j(rho); see the module.
+    """u from r and y by a PID law with gains K(rho) = sum_j K_j phi_j(rho).
+
+    u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the filtered derivative of c r - y.
 
     Kp (m, nu, ny), Ki [1/s], Kd [s], Kr, u0 (m, nu): coefficients of the m basis functions; Kr: feedforward of the set-points.
     `schedule` names the measured output that is rho; outside `span` the gains hold their edge value. b, c (ny): set-point weights
     of the proportional and the derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu):
     limits of the command.
+
+        >>> law.gains_at(0.0).Ki.round(1), law.gains_at(10.0).Ki.round(1)
+        (array([[5.1]]), array([[18.9]]))
     """
 
     actuated: tuple[str, ...]

@@ -42,3 +42,8 @@ POSITIONING_AXIS = Plant(
         "slide": "the slide on its guide",
     },
 )
+"""M q'' = F - Fv q': a ball-screw slide that is driven by a force, of the EMPS type.
+
+    >>> [f"{p.name} {p.value:g} {p.unit}" for p in POSITIONING_AXIS.parameters]
+    ['M 95 kg', 'Fv 200 N s/m']
+"""

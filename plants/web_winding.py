@@ -130,6 +130,11 @@ WEB_WINDING = Plant(
     },
     limits={"r1": (0.010, 0.030), "r2": (0.010, 0.030), "T1": (-5.0, 50.0), "T2": (-5.0, 50.0)},
 )
+"""Tape runs from one reel over a guide pulley to another one; the schedule is the radius of the reel that winds up.
+
+    >>> [f"{channel.name} [{channel.unit}]" for channel in WEB_WINDING.outputs]
+    ['w1 [rad/s]', 'w2 [rad/s]', 'w3 [rad/s]', 'theta [deg]', 'r2 [m]']
+"""
 
 
 def frozen_machine(r2: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -64,6 +64,11 @@ WELDING_ROBOT = Plant(
         "rail": "the platform on its rail",
     },
 )
+"""m1 v1' = u - b1 v1 - c (v1 - v2): a mobile platform on a rail that carries a moving arm; the schedule is the arm's angle.
+
+    >>> [f"{channel.name} [{channel.unit}]" for channel in WELDING_ROBOT.inputs]
+    ['u [N]', 'arm [rad]']
+"""
 
 
 def frozen_parameters(mass: float, dt: float) -> np.ndarray:

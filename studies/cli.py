@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-from studies.options import COMMANDS
+from studies.options import COMMANDS, talk
 
 DONE, NEGATIVE, BAD_INPUT, NOT_HANDED_OUT, CRASHED, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
@@ -70,6 +70,7 @@ def parser() -> argparse.ArgumentParser:
             metavar="FILE",
             help="write the numbers to this file as well (-: standard output, alone)",
         )
+        talk(sub, name)
         command.options(sub)
     return top
 
@@ -85,10 +86,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         argcomplete.autocomplete(words)
     options = words.parse_args(arguments)
     try:
-        from studies import commands
+        from studies import commands, terminal
         from workbench.errors import InputError
     except KeyboardInterrupt:
         return INTERRUPTED
+    terminal.begin(quiet=getattr(options, "quiet", False), verbose=options.verbose)
     try:
         return commands.run(options)
     except InputError as reason:
@@ -97,6 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write(f"workbench {options.command}: interrupted; what is written is whole, the rest is not there\n")
         return INTERRUPTED
+    finally:
+        terminal.end()
 
 
 def console() -> int:

@@ -26,6 +26,7 @@ from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.lpv import load_model
 from workbench.metrics import tracking
+from workbench.progress import Steps
 from workbench.provenance import provenance, versions
 from workbench.records import record
 from workbench.rehearsal import NO_WORSE
@@ -176,9 +177,11 @@ def _run(folder: Path, every: Mapping[str, Bench], seeds: Sequence[int], jobs: i
         for law in _laws(folder, name)
     ]
     rows = {_key(row): row for row in whole_rows(table)}  # of other laws and scenarios too; those are not asked for
-    for row in made(table, partial(run_job, folder=folder), [job for job in wanted if _key(job.row) not in rows], jobs):
+    todo = [job for job in wanted if _key(job.row) not in rows]
+    steps = Steps(progress, len(wanted), "runs", before=len(wanted) - len(todo))
+    for row in made(table, partial(run_job, folder=folder), todo, jobs):
         rows[_key(row)] = row
-        progress(_said(row))
+        steps.done(1, _said(row))
     return [rows[_key(job.row)] for job in wanted]
 
 

@@ -236,7 +236,8 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
         configuration=configuration,
         of="of another version or with other limits",
         jobs=jobs,
-        heard=lambda row: progress(said(row)),
+        said=said,
+        progress=progress,
     )
 
 

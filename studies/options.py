@@ -39,7 +39,9 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--experiment", nargs="+", metavar="NAME", default=[], help="experiments of the machine's plan")
     sub.add_argument("--inputs-from", nargs="+", metavar="FILE", default=[], help="replay the inputs of measured records")
     sub.add_argument("--seed", type=_seed, help="seed of noise, disturbances and random set-points (default 0)")
-    sub.add_argument("--quiet", action="store_true", help="no noise and no disturbance")
+    sub.add_argument("--noise-free", action="store_true", help="no noise and no disturbance")
+    # how it was spelled until 0.1; works for one more version, with a note
+    sub.add_argument("--quiet", dest="old_quiet", action="store_true", help=argparse.SUPPRESS)
     sub.add_argument("--effect", action="append", default=[], metavar="ID@PLACE:P=V", help="switch missing physics on")
     sub.add_argument("--parameter", action="append", default=[], metavar="P=V", help="change a physical parameter")
     sub.add_argument("--start", action="append", default=[], metavar="X=V", help="change a start value")
@@ -48,6 +50,14 @@ def _simulate(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--duration", type=_seconds, metavar="S", help="with --setpoint: seconds (default 60)")
     sub.add_argument("--limits", metavar="FILE", help="with --controller: follow the set-points of [run] in a file of limits")
     sub.add_argument("--replay", metavar="FILE", help="run a stored counterexample again: plant, controller and all are in it")
+
+
+def talk(sub: argparse.ArgumentParser, name: str) -> None:
+    """--quiet and --verbose, of every command; `--quiet` of simulate has its old meaning for one more version."""
+    group = sub.add_mutually_exclusive_group()
+    if name != "simulate":
+        group.add_argument("--quiet", action="store_true", help="write the answer and errors alone, no progress")
+    group.add_argument("--verbose", action="store_true", help="say what each stage takes, too")
 
 
 def _identify(sub: argparse.ArgumentParser) -> None:

@@ -7,7 +7,8 @@ that its label names. Where the records cannot tell the scale of a mass from tha
 
 import numpy as np
 
-from workbench import Channel, Parameter, Plant, Shaft, Slide, Start
+from workbench import Channel, Parameter, Plant, Start
+from workbench.physics.effects import Shaft, Slide
 
 DEGREES = 180.0 / np.pi
 RATIO = 250.0  # of the gear of the robot's first axis

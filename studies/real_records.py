@@ -223,7 +223,8 @@ def run(folder: Path, data: str, machines: Sequence[str], jobs: int = 1, progres
         key="machine",
         configuration=configuration,
         jobs=jobs,
-        heard=lambda row: progress(said(row)),
+        said=said,
+        progress=progress,
     )
     return [row for name in machines for row in rows if row["machine"] == name]
 

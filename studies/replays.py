@@ -17,7 +17,7 @@ from workbench.robustness.sequences import Broken, is_sequence, load_sequence
 
 Say = Callable[[str], None]
 
-OTHERS = ("experiment", "inputs_from", "seed", "quiet", "effect", "parameter", "start", "controller", "setpoint", "duration")
+OTHERS = ("experiment", "inputs_from", "seed", "noise_free", "effect", "parameter", "start", "controller", "setpoint", "duration")
 
 
 def run(options: Namespace, say: Say) -> int:

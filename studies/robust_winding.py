@@ -232,7 +232,7 @@ def _against_random(
     assert run_ is not None
     scenario: Scenario = run_.scenario(WINDING, law)
     budget = 200 if quick else 1000
-    search = Search(WINDING, law, scenario, [limit], box, runs=budget, seed=seed)
+    search = Search(WINDING, law, scenario, [limit], box, runs=budget, seed=seed, progress=progress)
     searched = worst_plant(search)
     chance = at_random(search if quick else replace(search, runs=10 * budget))
     n = max(len(searched.history), len(chance.history))

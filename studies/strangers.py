@@ -102,7 +102,8 @@ def run(folder: Path, seeds: Iterable[int], jobs: int = 1, progress: Say = lambd
         key="seed",
         configuration=configuration,
         jobs=jobs,
-        heard=lambda row: progress(said(row)),
+        said=said,
+        progress=progress,
     )
 
 

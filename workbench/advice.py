@@ -85,7 +85,14 @@ class Feedback:
 
 
 def advise(dataset: Dataset, *, order: int | None = None) -> tuple[Advice, ...]:
-    """What to know before these records are used; `order` is the model order asked for, where it is known."""
+    """What to know before these records are used: one sentence for each thing that they cannot show, and what to do about it.
+
+    order: the model order asked for, where it is known. Nothing here is an error; a record that can be read can be used.
+
+        >>> for advice in advise(data):
+        ...     print(advice)
+        note: a, b, way: runs from -0.001365 to 11.98 mm; a model holds on that range only
+    """
     found: list[Advice] = []
     for experiment in dataset:
         for check in CHECKS:

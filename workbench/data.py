@@ -31,7 +31,13 @@ JITTER = 0.01
 
 @record
 class Channel:
-    """A named column with its unit (SI unless it says otherwise) and its role."""
+    """A named column with its unit (SI unless it says otherwise) and its role.
+
+    role: time, input, output, schedule, reference or other.
+
+        >>> Channel("n", "rad/s", "output")
+        Channel(name='n', unit='rad/s', role='output')
+    """
 
     name: str
     unit: str = ""
@@ -49,6 +55,10 @@ class Experiment:
     """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, by default the typical step.
 
     file: the path that it was read from, "" where it comes from no file.
+
+        >>> a = data.experiments[0]
+        >>> a.names, a["n"].shape
+        (('U', 'n', 'way'), (600,))
     """
 
     name: str
@@ -252,7 +262,13 @@ class Experiment:
 
 @record
 class Dataset:
-    """Several records with the same sample time, channels and roles; never concatenated."""
+    """Several records with the same sample time, channels and roles; never concatenated.
+
+    Raises InputError for records that do not fit together. `read` makes one of files, frames and arrays.
+
+        >>> [f"{e.name}: {len(e)} samples" for e in data.experiments], data.dt
+        (['a: 600 samples', 'b: 600 samples'], 0.01)
+    """
 
     experiments: tuple[Experiment, ...]
 

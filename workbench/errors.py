@@ -5,7 +5,12 @@ from difflib import get_close_matches
 
 
 class InputError(ValueError):
-    """Bad input from a person: a file, an option, a channel. The command line ends with exit code 2."""
+    """Bad input from a person: a file, an option, a channel. The command line ends with exit code 2.
+
+    >>> print(InputError("gap of 1 s", file="a.csv", line=7, mend="cut the file there"))
+    a.csv, line 7: gap of 1 s
+      mend: cut the file there
+    """
 
     def __init__(
         self,

@@ -31,7 +31,11 @@ CHUNK = 4096  # samples whose scheduled matrices are held at once
 
 @record
 class Powers:
-    """phi_j(rho) = (rho / scale)^exponent_j; exponents may be negative, then the schedule must not cross zero."""
+    """phi_j(rho) = (rho / scale)^exponent_j; exponents may be negative, then the schedule must not cross zero.
+
+    >>> Powers(np.array([0.0, 1.0, 2.0]), scale=10.0)(np.array([5.0]))
+    array([[1.  , 0.5 , 0.25]])
+    """
 
     exponents: np.ndarray = field("m", default=(0.0,))
     scale: float = field("", low=1e-300, default=1.0)
@@ -53,6 +57,9 @@ class Gaussian:
     """phi_j(rho) = exp(-beta_j (rho - centre_j)^2); `normalised` divides by their sum, so that they add up to one.
 
     `with_constant` appends phi = 1, for the matrices of a model that do not move with the schedule.
+
+        >>> np.array(Gaussian(np.array([0.0, 10.0]), beta=np.array([0.1, 0.1]), normalised=True).functions(4.0)).round(2)
+        array([0.88, 0.12])
     """
 
     centres: np.ndarray = field("m")
@@ -83,7 +90,11 @@ class Gaussian:
 
 @record
 class PiecewiseLinear:
-    """phi_j(rho) is 1 at knot_j, 0 at every other knot, linear between, constant outside the first and last knot."""
+    """phi_j(rho) is 1 at knot_j, 0 at every other knot, linear between, constant outside the first and last knot.
+
+    >>> PiecewiseLinear(np.array([0.0, 5.0, 10.0]))(np.array([2.5]))
+    array([[0.5, 0.5, 0. ]])
+    """
 
     knots: np.ndarray = field("m")
 
@@ -177,10 +188,15 @@ class Stability:
 
 @record
 class LPVModel:
-    """x+ = A(rho) x + B(rho) u, y = C(rho) x + D(rho) u in deviations from the operating point; see the module.
+    """x+ = A(rho) x + B(rho) u, y = C(rho) x + D(rho) u in deviations from the operating point.
 
     Shapes: A (nt, nx, nx), B (nt, nx, nu), C (nt, ny, nx), D (nt, ny, nu), one slice per term. `span` is the schedule
     range [low, high] of the estimation records; outside it the model holds the edge value of its basis functions.
+
+        >>> model.to_control(0.0).poles().round(3), model.to_control(10.0).poles().round(3)
+        (array([0.94+0.j]), array([0.885+0.j]))
+        >>> model.simulate(held_out.experiments[0]).shape  # free run, the samples before its warm-up NaN
+        (600, 1)
     """
 
     name: str
@@ -407,7 +423,14 @@ def check_no_feedthrough(model: LPVModel) -> None:
 
 
 def load_model(path) -> LPVModel:
-    """Read a model file written by `LPVModel.save`; what is missing or foreign is named."""
+    """Read a model file written by `LPVModel.save`; what is missing or foreign is named.
+
+    Raises InputError for a file that is none.
+
+        >>> model.save("ssm.json")
+        >>> load_model("ssm.json").schedule
+        Channel(name='way', unit='mm', role='schedule')
+    """
     content = read_json(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         interval = isinstance(content, dict) and content.get("schema") == "interval-model"

@@ -153,6 +153,9 @@ def write_csv(experiment: Experiment, path: str | Path) -> Path:
     """Write a record as CSV with 17 significant digits: reading it gives the same numbers, bit for bit.
 
     Roles are kept by name only. Raises InputError for a channel name that a CSV header cannot hold.
+
+        >>> read(write_csv(data.experiments[0], "again.csv")).experiments[0].names
+        ('U', 'n', 'way')
     """
     for channel in experiment.channels:
         cell = _HEADER_CELL.fullmatch(str(channel))

@@ -76,6 +76,12 @@ def residual_test(model: LPVModel, experiment: Experiment, *, lags: int = 25, cl
     noise whatever the model. closed_loop: default what the record shows (`advice.feedback`).
     The p-values hold for records that the model was not estimated on; on those that it was, they are too large.
     Raises InputError for fewer than four times `lags` samples after the warm-up.
+
+    Sources: Ljung and Box, Biometrika 65 (1978); Bartlett, J. Royal Statistical Society 98 (1935); L. Ljung, "System
+    Identification", 2nd ed. (1999), section 16.6.
+
+        >>> residual_test(model, held_out.experiments[0]).passed
+        False
     """
     warmup = model.warmup
     if len(experiment) - warmup < 4 * lags:

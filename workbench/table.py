@@ -9,6 +9,7 @@ from typing import Any
 
 from workbench.errors import InputError
 from workbench.files import write_text
+from workbench.progress import Progress, Steps, silent
 from workbench.provenance import versions
 
 
@@ -57,12 +58,13 @@ def resumed(
     configuration: str,
     of: str = "of another version",
     jobs: int = 1,
-    heard: Callable[[dict[str, Any]], None] = lambda _: None,
+    said: Callable[[dict[str, Any]], str] = lambda _: "",
+    progress: Progress = silent,
 ) -> list[dict[str, Any]]:
     """All rows of the table after every item has one; an item whose row is there already (row[key]) is not done again.
 
-    heard: is given each new row. Raises InputError where a row of the table was made with another `configuration`; of: what that
-    means.
+    progress: is told of each new row, what `said` makes of it, and the time left. Raises InputError where a row of the table was
+    made with another `configuration`; of: what that means.
     """
     rows = whole_rows(table)
     others = {row.get("configuration", "none") for row in rows} - {configuration}
@@ -73,9 +75,11 @@ def resumed(
             mend="give a new --out folder, or the workbench that wrote this one",
         )
     done = {row[key] for row in rows}
-    for row in made(table, work, [item for item in items if item not in done], jobs):
+    todo = [item for item in items if item not in done]
+    steps = Steps(progress, len(items), "cases", before=len(items) - len(todo))
+    for row in made(table, work, todo, jobs):
         rows.append(row)
-        heard(row)
+        steps.done(1, said(row))
     return rows
 
 

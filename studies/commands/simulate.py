@@ -11,7 +11,7 @@ import numpy as np
 
 from plants import PLANTS
 from studies.arguments import Chosen, choose_controller, choose_plant, names, parse_effects, parse_numbers, run_folder
-from studies.terminal import say
+from studies.terminal import note, say
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -47,6 +47,9 @@ class Setup:
 
 def run(options: Namespace) -> int:
     """Run experiments of a plan, or replay the inputs of records; writes <record>.csv and states/<record>.csv."""
+    if options.old_quiet:
+        options.noise_free = True
+        note("--quiet is --noise-free now; from the next version on it silences progress, as in the other commands")
     if options.replay:
         from studies.replays import run as run_replay
 
@@ -116,7 +119,7 @@ def _planned(options: Namespace, setup: Setup, name: str) -> Ran:
 
     todo = plan(setup.chosen.machine, name)
     scenario = todo.scenario(options.seed)
-    scenario = replace(scenario, seed=None if options.quiet else scenario.seed, start=setup.start)
+    scenario = replace(scenario, seed=None if options.noise_free else scenario.seed, start=setup.start)
     applied, own = todo.effects_with(setup.effects), setup.law
     done = simulate(
         setup.chosen.plant, own or todo.controller, scenario, parameters=setup.parameters, effects=applied,
@@ -168,7 +171,8 @@ def _configuration(options: Namespace, setup: Setup) -> dict[str, Any]:
 
     return {
         "plant": options.plant, "effects": setup.effects, "parameters": setup.parameters, "start": setup.start,
-        "quiet": options.quiet, "controller": options.controller, "setpoint": options.setpoint, "duration": options.duration,
+        "noise_free": options.noise_free, "controller": options.controller, "setpoint": options.setpoint,
+        "duration": options.duration,
         "limits": options.limits, "effects_of_plant": setup.chosen.plant.effects,
         "effects_of_experiments": {name: plan(setup.chosen.machine, name).effects for name in options.experiment},
     }  # fmt: skip
@@ -213,7 +217,7 @@ def _of_limits(options: Namespace, setup: Setup) -> Any:
         mend = "it is of the proofs of check on a model; a plant begins as [run.start] says"
         raise InputError("[run.initial]", file=options.limits, mend=mend)
     scenario = run.scenario(setup.chosen.plant, setup.law)
-    seed = None if options.quiet else options.seed
+    seed = None if options.noise_free else options.seed
     return replace(scenario, seed=seed, start={**scenario.start, **setup.start})
 
 
@@ -231,7 +235,7 @@ def _at_setpoint(options: Namespace, setup: Setup) -> Any:
     law, (setpoint, samples) = setup.law, _setpoint(options, setup)
     check_setpoint(law, setpoint)
     references = {r: np.full(samples, setpoint[y]) for r, y in zip(law.references, law.measured, strict=False)}
-    return Scenario("setpoint", references, None if options.quiet else options.seed, setup.start)
+    return Scenario("setpoint", references, None if options.noise_free else options.seed, setup.start)
 
 
 def _on_model(options: Namespace, setup: Setup) -> Any:
@@ -242,7 +246,7 @@ def _on_model(options: Namespace, setup: Setup) -> Any:
     setpoint, samples = _setpoint(options, setup)
     if setup.effects or setup.parameters or setup.start:
         raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
-    seed = None if options.quiet else options.seed
+    seed = None if options.noise_free else options.seed
     record = hold(load_model(str(setup.chosen.model)), setup.law, setpoint, samples, seed)
     return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
 

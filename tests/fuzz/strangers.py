@@ -14,7 +14,10 @@ import numpy as np
 
 from studies.cli import main
 
-HEAD = "import numpy as np\n\nfrom workbench import Channel, Parameter, Plant, Shaft, Slide, Start\n\n\n"
+HEAD = (
+    "import numpy as np\n\nfrom workbench import Channel, Parameter, Plant, Start\n"
+    "from workbench.physics.effects import Shaft, Slide\n\n\n"
+)
 
 #: Equations of a few lines: (states, inputs, outputs, parameters, rates, readings, ports, start). Numbers of the parameters are
 #: drawn anew, so that each equation is compiled once.

@@ -6,7 +6,8 @@ J1 w1' = k1 i1 - b1 w1 - r1 B,   J2 w2' = k2 i2 - b2 w2 + r2 B,   B = K e + D e'
 import numpy as np
 
 from tests.strangers.bench import Course, Lab, Loop, Machine, Place
-from workbench import Channel, Parameter, Plant, Shaft
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Shaft
 
 R1, R2 = 0.04, 0.06  # m
 

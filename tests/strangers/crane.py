@@ -6,7 +6,8 @@
 import numpy as np
 
 from tests.strangers.bench import Course, Lab, Loop, Machine, Place
-from workbench import Channel, Parameter, Plant, Shaft, Slide
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Shaft, Slide
 
 
 def rates(x, u, p, f):

@@ -6,7 +6,8 @@ m v' = A pL - b v,   pL' = E (kq u sqrt(ps - sgn(u) pL) - A v - cl pL)
 import numpy as np
 
 from tests.strangers.bench import Course, Lab, Loop, Machine, Place
-from workbench import Channel, Parameter, Plant, Slide
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Slide
 
 
 def rates(x, u, p, f):

@@ -4,7 +4,8 @@ ms zs'' = -ks (zs - zu) - cs (zs' - zu') + F,   mu zu'' = ks (zs - zu) + cs (zs'
 """
 
 from tests.strangers.bench import Course, Lab, Machine, Place
-from workbench import Channel, Parameter, Plant, Slide
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Slide
 
 
 def rates(x, u, p, f):

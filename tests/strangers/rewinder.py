@@ -7,7 +7,8 @@ J2(r) w2' = kI i - r T - b2 w2,   J2 = J0 + c (r^4 - r0^4),   r' = s w2 / (2 pi)
 import numpy as np
 
 from tests.strangers.bench import Course, Lab, Machine, Place
-from workbench import Channel, Parameter, Plant, Shaft, Span, Start
+from workbench import Channel, Parameter, Plant, Start
+from workbench.physics.effects import Shaft, Span
 
 CORE = 0.05  # m
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from tests.strangers.bench import Course, Lab, Loop, Machine, Place
-from workbench import Channel, Parameter, Plant, Shaft
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Shaft
 
 
 def rates(x, u, p, f):

@@ -6,7 +6,8 @@ Jm m' = kT (V - kT m) / R - T,   Jl l' = T - b l,   q' = m - l,   T = k (what q 
 import numpy as np
 
 from tests.strangers.bench import Course, Lab, Loop, Machine, Place
-from workbench import Channel, Parameter, Plant, Shaft
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Shaft
 
 PER_MINUTE = 60.0 / (2.0 * np.pi)
 

@@ -83,7 +83,7 @@ def test_same_seed_same_bytes(records, tmp_path):
 
 
 def test_effects_parameters_and_start_reach_the_plant(tmp_path):
-    common = ["simulate", "web-winding", "--experiment", "ramp", "--quiet"]
+    common = ["simulate", "web-winding", "--experiment", "ramp", "--noise-free"]
     main([*common, "--out", str(tmp_path / "a")])
     main([*common, "--effect", "coulomb@rewind:level=0.002,width=2", "--out", str(tmp_path / "b")])
     main([*common, "--parameter", "J0=3e-5", "--start", "w3=90", "--out", str(tmp_path / "c")])

@@ -131,7 +131,7 @@ def test_effects_of_a_plan_come_first_and_the_users_own_count():
 
 
 def test_the_command_line_applies_and_records_the_effects_of_an_experiment(tmp_path):
-    words = ["simulate", "welding-robot", "--quiet", "--experiment", "curve2", "curve3"]
+    words = ["simulate", "welding-robot", "--noise-free", "--experiment", "curve2", "curve3"]
     assert main([*words, "--out", str(tmp_path / "a")]) == 0
     assert main([*words, "--effect", "arm-gravity@rail:sine=0,cosine=0", "--out", str(tmp_path / "b")]) == 0
     plain, pulled, off = (read_file(tmp_path / path)["v"] for path in ("a/curve2.csv", "a/curve3.csv", "b/curve3.csv"))
@@ -146,7 +146,7 @@ def test_the_command_line_applies_and_records_the_effects_of_an_experiment(tmp_p
 
 
 def test_a_robot_record_reads_back_with_its_roles_and_replays_to_itself(tmp_path):
-    assert main(["simulate", "welding-robot", "--experiment", "curve3", "--quiet", "--out", str(tmp_path / "a")]) == 0
+    assert main(["simulate", "welding-robot", "--experiment", "curve3", "--noise-free", "--out", str(tmp_path / "a")]) == 0
     record = read_file(tmp_path / "a" / "curve3.csv")
     assert (record.names_of("input"), record.names_of("output"), record.names_of("schedule")) == (("u",), ("v",), ("arm",))
     effect = "arm-gravity@rail:sine=0.4,cosine=0.1"

@@ -49,7 +49,7 @@ def test_the_extended_model_runs_where_the_model_does(diagnosed, files):
     errors = []
     for plant in (files / "m.json", diagnosed / "extended.json", f"{files / 'm.json'}+{diagnosed / 'extended.json'}"):
         out = files / f"run {len(errors)}"
-        assert main(["simulate", str(plant), "--inputs-from", str(files / "2.csv"), "--quiet", "--out", str(out)]) == 0
+        assert main(["simulate", str(plant), "--inputs-from", str(files / "2.csv"), "--noise-free", "--out", str(out)]) == 0
         errors.append(np.std(read_file(out / "2.csv")["w"] - measured["w"]))
     assert errors[1] < 0.5 * errors[0]
     assert errors[2] == errors[1]

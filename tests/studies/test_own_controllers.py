@@ -54,7 +54,7 @@ plant = "welding-robot"
 run = {{ duration = 2.0, setpoints.v = [[0.0, 0.5]] }}
 {more}
 """
-HELD = ["--setpoint", "v=0.5", "--duration", "2", "--quiet"]
+HELD = ["--setpoint", "v=0.5", "--duration", "2", "--noise-free"]
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def test_the_command_line_takes_a_plant_file_wherever_it_takes_a_plant(tmp_path)
     path = str(FOUND.save(tmp_path / "p.json"))
     for text in (path, f"positioning-axis+{path}"):
         assert find_plant(text).effects == FOUND.effects
-    common = ["--experiment", "steps", "--quiet"]
+    common = ["--experiment", "steps", "--noise-free"]
     assert main(["simulate", path, *common, "--out", str(tmp_path / "a")]) == 0
     by_hand = ["--parameter", "M=97", "--effect", "coulomb@slide:level=20,width=0.02"]
     assert main(["simulate", "positioning-axis", *common, *by_hand, "--out", str(tmp_path / "b")]) == 0
@@ -57,7 +57,7 @@ def test_a_plant_file_does_not_run_the_code_that_it_names(tmp_path):
 
 
 LAW = """
-from workbench import Domain, Effect, EffectParameter
+from workbench.physics.effects import Domain, Effect, EffectParameter
 
 def law(e, shaft):
     share = shaft.speed / e.speed
@@ -71,7 +71,8 @@ BRAKE = Effect(
 )
 """
 WHEEL = """
-from workbench import Channel, Parameter, Plant, Shaft
+from workbench import Channel, Parameter, Plant
+from workbench.physics.effects import Shaft
 from {law} import BRAKE
 
 PLANT = Plant(

@@ -86,7 +86,7 @@ def test_a_file_that_was_changed_ends_with_1_and_a_sentence(file, tmp_path, caps
         ([], {"controller": {"schema": "x"}}, "not a controller", "workbench design"),
         ([], {"base": "this:d"}, "is of this:d, which is no machine", "simulate this:d --replay"),
         (["--seed", "0"], {}, "--seed goes not with --replay", "the file holds the whole run"),
-        (["--quiet"], {}, "--quiet goes not with", "leave it out"),
+        (["--noise-free"], {}, "--noise-free goes not with", "leave it out"),
         (["--experiment", "rbs"], {}, "--experiment goes not with", "leave it out"),
         (["--inputs-from", "a.csv"], {}, "--inputs-from goes not with", "leave it out"),
         (["--effect", "coulomb@rail:level=0.1"], {}, "--effect goes not with", "leave it out"),

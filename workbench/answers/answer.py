@@ -4,7 +4,7 @@ import hashlib
 import html
 import textwrap
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,6 @@ from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report.blocks import Picture, Report, Text
-
-Progress = Callable[[str], None]
 
 PLANT_FILE = "extended.json"
 WIDTH = 110  # characters of a line

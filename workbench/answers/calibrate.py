@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, PlantAnswer, Progress, Records, prepared
+from workbench.answers.answer import Answer, PlantAnswer, Records, prepared
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.calibrate import Bounds, Calibration, Fitted, Trajectory, gains, trajectories
@@ -19,6 +19,7 @@ from workbench.diagnosis.calibrate import calibrate as fitted
 from workbench.files import write_json
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Picture, Provenance, Report, Section, Table
@@ -31,7 +32,7 @@ CALIBRATION_FILE = "calibration.json"
 def calibrate(
     plant: Plant, records: Dataset, held_out: Dataset | None = None, *, parameters: Sequence[str] | None = None,
     bounds: Bounds | None = None, dt: float | None = None, anyway: bool = False, accept: bool = False,
-    progress: Progress = lambda _: None,
+    progress: Progress = silent,
 ) -> "CalibrationResult":  # fmt: skip
     """Parameters of `plant` that make its one-step predictions of `records` most likely, their data sheet taken as prior.
 
@@ -39,7 +40,10 @@ def calibrate(
     the records to. anyway: take records that do not look like this plant's. accept: hand the plant out although it is worse on
     `held_out` records than the one it replaces. Raises InputError for records, names and bounds that do not fit the plant.
 
-        >>> calibrate(plant, read("a.csv"), read("b.csv")).plant                                            # doctest: +SKIP
+    p = nominal exp(sigma theta), theta ~ N(0, 1) before the records, sigma = tolerance / sqrt 3; docs/methods.md has the rest.
+
+        >>> print(calibrate(MOTOR, data, held_out).sentences[0])
+        4 parameters fitted; the records decide J, b.
     """
     given = prepared(plant, records, held_out, dt, anyway)
     progress("fitting parameters, starts and noise levels")
@@ -53,7 +57,12 @@ def calibrate(
 class CalibrationResult(PlantAnswer):
     """Fitted parameters with 95 % intervals, and the errors of the plant before and after.
 
+    `plant` is the fitted plant, `sentences` the answer in words; `save` writes it to a folder.
     nominal: the plant before; before, after: both along the records that errors are told of.
+
+        >>> found = calibrate(MOTOR, data, parameters=["J", "b"])
+        >>> [f"{p.name} {p.value:.4f} {p.unit}" for p in found.plant.parameters[:2]]
+        ['J 0.0020 kg m^2', 'b 0.0139 N m s/rad']
     """
 
     nominal: Plant

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, Progress, Records, as_dataset
+from workbench.answers.answer import Answer, Records, as_dataset
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -23,6 +23,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.physics.controller import check_controller
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report.blocks import Provenance, Report, Section, Table
@@ -47,7 +48,7 @@ def check(
     controller: Any, limits: Limits, *, model: LPVModel | None = None, records: Dataset | None = None,
     plant: Plant | None = None, fitted: Sequence[Fitted] = (), lags: int = 1, bound: Sequence[float] | None = None,
     nodes: int = NODES, rate: float | None = None, runs: int | None = None, seed: int = 0,
-    progress: Progress = lambda _: None,
+    progress: Progress = silent,
 ) -> "CheckResult":  # fmt: skip
     """Verdicts on a controller's loop: on an identified `model` with the `records` that bound its errors, on a `plant`, or both.
 
@@ -57,7 +58,8 @@ def check(
     default what the model is off. nodes: schedule values at which stability is proved; rate [1/s]: prove it for a schedule that
     moves by up to that, too. runs: of the plant for each limit. Raises InputError for what does not fit together.
 
-        >>> check(law, "limits.toml", model=model, records=data).status                                     # doctest: +SKIP
+        >>> check(law, limits, plant=MOTOR, runs=20).status.value
+        'UNDECIDED'
     """
     check_controller(controller, getattr(controller, "name", "controller"))
     asked = _limits(limits)
@@ -107,7 +109,12 @@ def check(
 class CheckResult(Answer):
     """Verdicts by part, on the model and on the plant.
 
+    `status` is the worst of `verdicts`, `sentences` say all of them; `save` writes a folder with what runs again.
     trial: one run of the loop; boxes: what the records leave open of the model, in words.
+
+        >>> answer = check(law, limits, plant=MOTOR, runs=20)
+        >>> [f"{verdict.claim}: {verdict.status.value}" for verdict in answer.verdicts]
+        ['stable: UNDECIDED', 'n: high: PASSED']
     """
 
     controller: Any

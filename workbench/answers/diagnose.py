@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from workbench.answers.answer import Answer, PlantAnswer, Progress, Records, prepared, texts
+from workbench.answers.answer import Answer, PlantAnswer, Records, prepared, texts
 from workbench.answers.calibrate import traces
 from workbench.answers.verdict import ended, next_step, sentences, stated, where
 from workbench.data import Channel, Dataset, Experiment
@@ -24,6 +24,7 @@ from workbench.diagnosis.stages import StageError, Stages, stages
 from workbench.files import nullable, write_json
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.readers import write_csv
 from workbench.records import record
 from workbench.report import figures
@@ -38,7 +39,7 @@ WINDOW = 60  # samples of a picture that shows a shift in time
 
 def diagnose(
     plant: Plant, records: Dataset, held_out: Dataset | None = None, *, templates: Sequence[Template] = (),
-    dt: float | None = None, anyway: bool = False, accept: bool = False, progress: Progress = lambda _: None,
+    dt: float | None = None, anyway: bool = False, accept: bool = False, progress: Progress = silent,
 ) -> "DiagnosisResult":  # fmt: skip
     """What `plant` lacks to explain `records`: its name, its size, how sure it is, and what it gains on `held_out` records.
 
@@ -47,7 +48,9 @@ def diagnose(
     look like this plant's. accept: hand the extended plant out although it is worse on held-out records than the one it
     replaces. Raises InputError for records that do not fit the plant. What is computed: `workbench.diagnosis`.
 
-        >>> diagnose(plant, read("a.csv"), read("b.csv")).plant                                             # doctest: +SKIP
+        >>> found = diagnose(MOTOR, data, held_out)
+        >>> [f"{cause.effect}@{cause.place}" for cause in found.causes]
+        ['coulomb@shaft']
     """
     given = prepared(plant, records, held_out, dt, anyway)
     tests = proposable(plant, templates, given.own)
@@ -58,7 +61,15 @@ def diagnose(
 
 @record
 class DiagnosisResult(PlantAnswer):
-    """What was found on records of a plant. nominal: the plant before; stages: it along the records that errors are told of."""
+    """What was found on records of a plant.
+
+    `plant` is the extended plant, `causes` are named with their sizes, the strongest first, `finding` is the verdict in one word.
+    nominal: the plant before; stages: it along the records that errors are told of.
+
+        >>> found = diagnose(MOTOR, data, held_out)
+        >>> f"{found.finding.value}: {found.causes[0].effect} of {found.plant.effects['coulomb@shaft']['level']:.2f} N m"
+        'named: coulomb of 0.10 N m'
+    """
 
     nominal: Plant
     diagnosis: Diagnosis

@@ -63,6 +63,9 @@ class ILM:
     for what the estimation records prefer; overlaps: widths of the activations to try. drift: degrees of the polynomials
     u0(rho), y0(rho) to try, the lowest within 0.5 points of the best is taken. method: identifies the local models.
     resamples: block-bootstrap draws behind the standard deviations of alpha, 0 for none.
+
+        >>> ILM(models=2, order=1).fit(data).order
+        2
     """
 
     models: int | None = None

@@ -37,6 +37,9 @@ class LTI:
     best. method: PBSID (consistent in closed loop) or N4SID, whose windows are used and whose own order is not.
     feedthrough: estimate D; None where the records show that inputs act within the sample.
     resamples: block-bootstrap draws behind the standard deviations of the estimates (PBSID only), 0 for none.
+
+        >>> LTI(order=1).fit(data).to_control().poles().round(2)
+        array([0.91+0.j])
     """
 
     order: int | None = None

@@ -72,6 +72,11 @@ def cover(
     """One-step (equation-error boxes only) and free-run envelopes of every record; free runs of 2000 samples take a second.
 
     Raises InputError for a record called held-out that the model was made from, and as `one_step` and `free_run` do.
+
+        >>> boxes = IntervalRegression(ARX(order=1)).fit(data)
+        >>> for line in cover(boxes, held_out, "held-out", free_run=False):
+        ...     print(line)
+        interval on c (held-out), n, one-step envelope: holds 100.00 % of 599 values, +-1.802 rad/s (1.6 % of the range)
     """
     found = []
     for e in dataset:

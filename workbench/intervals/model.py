@@ -171,10 +171,17 @@ class _Step:
 
 @record
 class IntervalModel:
-    """See the module. `unit_range`: range of y over the estimation records, to which precisions refer.
+    """y(k) = d'psi(k) + theta(k)'z(k), theta(k) anywhere in the box of the mode that holds at k.
 
+    `one_step` and `free_run` of a record give its envelopes, low and high (N,).
+    unit_range: range of y over the estimation records, to which precisions refer.
     output_error, input_error (nu): bounds on |measured - true|. With a schedule, modes are chosen by its value; without, by the
     regressor: domains are in the coordinates z without the constant.
+
+        >>> boxes = IntervalRegression(ARX(order=1)).fit(data)
+        >>> envelope = boxes.one_step(held_out.experiments[0])
+        >>> envelope.low.shape, envelope.coverage
+        ((599,), 1.0)
     """
 
     name: str
@@ -393,7 +400,14 @@ class IntervalModel:
 
 
 def load_interval_model(path) -> IntervalModel:
-    """Read a model file written by `IntervalModel.save`; what is missing or foreign is named."""
+    """Read a model file written by `IntervalModel.save`; what is missing or foreign is named.
+
+    Raises InputError for a file that is none.
+
+        >>> IntervalRegression(ARX(order=1)).fit(data).save("interval.json")
+        >>> load_interval_model("interval.json").output
+        Channel(name='n', unit='rad/s', role='output')
+    """
     content = read_json(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise InputError("not an interval model", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")

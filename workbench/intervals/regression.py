@@ -38,11 +38,14 @@ class OneMode:
 
 @record
 class InTime:
-    """Modes along time, [2] section 5: split by precision, then merge modes of the same regime.
+    """exp(-mean radius / range of y) >= precision: modes along time, split by precision, then merge modes of the same regime.
 
     precision in (0, 1] of the normalised output. shortest: N, a mode has at least N + 1 samples (default: five per parameter).
-    tolerance: raise the precision by bisection, within this, as long as no more modes are needed (appendix B); None: keep it.
+    tolerance: raise the precision by bisection, within this, as long as no more modes are needed ; None: keep it.
     merge: gauge within which a mode's domain counts as part of another's; None: no merging.
+
+        >>> len(IntervalRegression(ARX(order=1), partition=InTime(precision=0.97)).fit(data).modes) >= 1
+        True
     """
 
     precision: float = field("")
@@ -62,7 +65,11 @@ class InTime:
 
 @record
 class BySchedule:
-    """One box for each of `intervals` equal intervals of the schedule; those with few samples join their neighbour."""
+    """One box for each of `intervals` equal intervals of the schedule; those with few samples join their neighbour.
+
+    >>> len(IntervalRegression(ARX(order=1), partition=BySchedule(3)).fit(data).modes)
+    3
+    """
 
     intervals: int = 5
 
@@ -80,6 +87,9 @@ class IntervalRegression:
 
     output_error, input_error (one number or one for each input): bounds on |measured - true|, in the unit of the channel. None
     takes them from the records: three standard deviations of the noise of y, half a quantum of a quantised input, 0 for others.
+
+        >>> IntervalRegression(ARX(order=1), output_error=0.15).fit(data).modes[0].box.centre.round(3)
+        array([ 0.085,  0.475, -0.008])
     """
 
     structure: Structure = field(default_factory=ARX)

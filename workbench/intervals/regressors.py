@@ -41,7 +41,14 @@ class Form:
 
 @record
 class ARX:
-    """y(k) from the last n outputs and inputs; see the module. delay 0 lets u(k) act on y(k) at once."""
+    """y(k) = d'psi(k) + theta'z(k) with psi(k) = (y(k-1) .. y(k-n), u(k-delay) .. u(k-n), 1): the last n outputs and inputs.
+
+    order: n. delta: z of differences (q-1)^i of these, whose boxes are narrower in one step; False: z of the values themselves.
+    bias: a constant term. delay: samples after which u acts; 0 lets u(k) act on y(k) at once.
+
+        >>> IntervalRegression(ARX(order=2, delta=False)).fit(data).form.names
+        ('-n(k-1)', '-n(k-2)', 'U(k-1)', 'U(k-2)', '1')
+    """
 
     order: int = 2
     delta: bool = True
@@ -78,7 +85,13 @@ class ARX:
 
 @record
 class FIR:
-    """y(k) from the last n inputs alone: no feedback, so free run and one step are the same."""
+    """y(k) = sum_i g_i u(k-i) + bias: the last n inputs alone, no feedback, so free run and one step are the same.
+
+    order: n. bias: a constant term. delay: samples after which u acts.
+
+        >>> len(IntervalRegression(FIR(order=10)).fit(data).form.names)
+        11
+    """
 
     order: int = 20
     bias: bool = True

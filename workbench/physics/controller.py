@@ -45,6 +45,10 @@ class Controller(Loop, Protocol):
 
     `law` is one plain function of arithmetic and numpy ufuncs without a branch on its arguments, so that the stepper can
     compile it; `gains` holds every number in it, so that other gains need no other kernel.
+
+        >>> u, state = law.law(law.gains, law.init(), np.array([20.0]), np.array([0.0]), 5.0)  # r, y, rho
+        >>> len(u), len(state)
+        (1, 6)
     """
 
     @property
@@ -59,7 +63,14 @@ class Controller(Loop, Protocol):
 
 
 class Stepped(Loop, Protocol):
-    """A law that is computed step by step in Python, such as an optimisation; its memory is whatever it needs."""
+    """(memory, r, y, rho) -> (u, memory) every dt seconds: a law that is computed step by step in Python, as an optimisation is.
+
+    Its memory is whatever it needs; u (nu,), r, y (ny,), rho a number or None without a schedule.
+
+    >>> u, memory = mpc.step(mpc.init(), np.array([20.0]), np.array([0.0]), 5.0)  # r, y, rho
+    >>> u.round(1)
+    array([12.])
+    """
 
     def init(self, u: np.ndarray | None = None) -> Any:
         """The memory before the first sample; u: the inputs it takes over from."""
@@ -213,7 +224,12 @@ def _check_law(controller: Controller, file: object) -> None:
 
 @record
 class Playback:
-    """u = r: the inputs follow given sequences, whatever is measured. An experiment in open loop."""
+    """u = r: the inputs follow given sequences, whatever is measured. An experiment in open loop.
+
+    >>> run = simulate(MOTOR, Playback(("U",), dt=0.01), Scenario("step", {"U": np.full(200, 5.0)}, seed=1))
+    >>> f"{run.experiment['n'][-1]:.1f} rad/s"
+    '36.6 rad/s'
+    """
 
     actuated: tuple[str, ...]
     dt: float = field("", unit="s", low=1e-9)

@@ -11,6 +11,9 @@ class Parameter:
     """A physical constant; tolerance is the relative half-width that a data sheet leaves open.
 
     signed: it may be zero or negative; what is not (a mass, a stiffness, a resistance) is refused at such values.
+
+        >>> Parameter("J", 0.002, "kg m^2", tolerance=0.2, meaning="inertia").tolerance
+        0.2
     """
 
     name: str

@@ -32,7 +32,11 @@ from workbench.records import field, record
 
 @record
 class Plant:
-    """See the module. `ports` are those of the equation; every commanded input has an actuator port, every output a sensor port.
+    """dx/dt = equation(x, u, p, at), y = measure(x, p): states, inputs, outputs, parameters with tolerances, and ports.
+
+    The equation is one plain function in arithmetic and numpy ufuncs; `x`, `u`, `p` hold values by name, and `at.<place>` offers
+    what the effects at a port contribute. dt [s]: sample time. `ports` are those of the equation; every
+    commanded input has an actuator port, every output a sensor port.
 
     An input of role "schedule" moves on its own (the angle of an arm that another program drives): nothing commands it, and where
     a record or a scenario does not give it, it stays at its start value, by default 0.
@@ -51,6 +55,9 @@ class Plant:
     that is no whole number of samples mixes two samples of the command.
 
     meaning: what channels and places are, in words, {"v1": "speed of the platform"}.
+
+        >>> MOTOR.output_names, MOTOR.equilibrium(w=40.0, way=5.0)[1].round(1)  # U [V] that holds 40 rad/s
+        (('n', 'way'), array([6.]))
     """
 
     name: str

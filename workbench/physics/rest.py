@@ -26,6 +26,10 @@ class Start:
     millionth (a root that is guarded against negative levels has no slope there, where steps from too high a level end). The
     first that ends at rest within the plant's limits is taken. So of two answers +u and -u the positive one is; `guess` asks for
     the other.
+
+        >>> state, command = MOTOR.equilibrium(w=40.0, way=5.0)
+        >>> command.round(2)  # U [V] that holds 40 rad/s
+        array([6.])
     """
 
     fixed: Mapping[str, float | str] = field(default_factory=dict)

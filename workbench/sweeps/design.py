@@ -142,6 +142,9 @@ def load_sweep(path: str | Path) -> Sweep:
     trajectories or base points (a power of two). seeds: each set once for every one. [parameters.NAME]: values, or low and high,
     with scale = "log" for one that varies by factors, and count levels in a grid. outputs: those wanted, by default all. [fixed]:
     what stays.
+
+        >>> [point.values for point in load_sweep("sweep.toml").points()]
+        [{'J': 0.001}, {'J': 0.002}, {'J': 0.004}]
     """
     top = read_toml(path, KEYS)
     run, design = top.text("run", None), check_known("design", top.text("design", "grid"), DESIGNS, file=path)

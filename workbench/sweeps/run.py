@@ -3,17 +3,15 @@
 import sqlite3
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 from workbench.errors import InputError, check_known
+from workbench.progress import Progress, Steps, silent
 from workbench.records import record
 from workbench.sweeps.database import opened, put
 from workbench.sweeps.design import Sweep
 from workbench.sweeps.job import Job
 from workbench.sweeps.workers import answered
-
-Say = Callable[[str], None]
 
 
 @record
@@ -34,7 +32,7 @@ def run_sweep(
     resume: bool = False,
     jobs: int = 1,
     scheduler: str | None = None,
-    progress: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Swept:
     """A row for every point, `jobs` processes or threads side by side; resume: those that `database` holds are not run again.
 
@@ -43,6 +41,10 @@ def run_sweep(
     A run that fails is a row with its error. Killed at any moment, only the blocks under way are lost: single runs, or as many as
     take half a second. Raises InputError for a file that exists (without resume), that another sweep, job or version wrote, or
     that another process writes to.
+
+        >>> done = run_sweep(load_sweep("sweep.toml"), TimeConstant(), "sweep.sqlite")
+        >>> done.runs, done.failed
+        (3, 0)
     """
     database, began = Path(database), time.monotonic()
     names = tuple(p.name for p in sweep.factors)
@@ -56,17 +58,15 @@ def run_sweep(
     with opened(database, sweep, job, outputs, resume) as connection:
         have = {run for (run,) in connection.execute("SELECT run FROM runs")}
         todo = [point for point in points if point.run not in have]
-        made = 0
+        steps = Steps(progress, len(points), "runs", before=len(points) - len(todo))
         threaded = job.on_threads(jobs) if jobs > 1 and scheduler is None else None
         for block, answers, seconds in answered(threaded or job, todo, 1 if threaded else jobs, scheduler):
             put(connection, block, answers, seconds, names, tuple(outputs))
-            made += len(block)
-            progress(_told(connection, len(points), made, len(todo), time.monotonic() - began))
+            steps.done(len(block), aside=_failures(connection))
         total, failed = connection.execute("SELECT COUNT(*), COUNT(NULLIF(error, '')) FROM runs").fetchone()
-    return Swept(total, failed, made, time.monotonic() - began)
+    return Swept(total, failed, steps.made, time.monotonic() - began)
 
 
-def _told(connection: sqlite3.Connection, whole: int, made: int, todo: int, seconds: float) -> str:
+def _failures(connection: sqlite3.Connection) -> str:
     (failed,) = connection.execute("SELECT COUNT(*) FROM runs WHERE error != ''").fetchone()
-    left = seconds / made * (todo - made)
-    return f"{whole - todo + made} of {whole} runs" + f", {failed} failed" * (failed > 0) + f", {left:.0f} s left"
+    return f"{failed} failed" if failed else ""

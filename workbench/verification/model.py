@@ -4,7 +4,7 @@ Errors that the records leave open move as they like within their boxes; certifi
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear, Powers
 from workbench.physics.controller import content_of, law_of
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
@@ -37,8 +38,6 @@ from workbench.robustness.uncertain import UncertainLoop
 from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, refuting, stability
 from workbench.simulation import simulate
 from workbench.verification.part import FROZEN, Part
-
-Say = Callable[[str], None]
 
 TITLE = "On the identified model"
 COMPARED = 41  # schedule values at which a law is compared with its linear form
@@ -65,7 +64,7 @@ def opened(method: ErrorRegression, model: LPVModel, records: Dataset) -> Open:
 
 def on_model(
     left: Open, law: Any, limits: LoopLimits, plant: Plant | None = None, *, nodes: int = NODES, rate: float | None = None,
-    progress: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Part:  # fmt: skip
     """Stability at `nodes` schedule values and, with a rate [1/s], in motion; |S|; disk margin; and limits along the run.
 
@@ -114,7 +113,7 @@ def claimed(limits: LoopLimits) -> list[str]:
 
 
 def _stability(
-    found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, nodes: int, rate: float | None, of: str, progress: Say
+    found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, nodes: int, rate: float | None, of: str, progress: Progress
 ) -> None:
     model, errors = left.model, left.errors
     needed = max(limits.margin or 1.0, 1.0 if limits.stable else 0.0)
@@ -163,7 +162,7 @@ def _without_margin(
 
 def _in_motion(
     model: LPVModel, errors: Sequence[IntervalModel], law: LinearLaw, rate: float, nodes: int, needed: float, of: str,
-    progress: Say,
+    progress: Progress,
 ) -> Verdict:  # fmt: skip
     """Stability while the schedule moves: of the machine that is linear between nodes, and proved where the model is that."""
     schedule = model.schedule
@@ -306,7 +305,7 @@ def _prepared(left: Open, law: LinearLaw, limits: LoopLimits, plant: Plant | Non
     return _Run(references, initial, rho, tuple(bounds), along)
 
 
-def _bounds(found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, run: _Run, of: str, progress: Say) -> None:
+def _bounds(found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, run: _Run, of: str, progress: Progress) -> None:
     assert limits.run is not None
     of = f"{of}{run.along}"
     clipped = [bound for bound in run.bounds if _by_the_law(law, bound)]

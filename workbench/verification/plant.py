@@ -1,7 +1,7 @@
 """What is claimed of a loop on the simulated plant: the worst machine within tolerances and fitted intervals is searched for."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from workbench.errors import InputError
 from workbench.files import as_read
 from workbench.physics.controller import Controller, content_of
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, silent
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
 from workbench.robustness.falsify.box import Dimension, tolerance_box
@@ -22,8 +23,6 @@ from workbench.robustness.verdict import Status, Verdict
 from workbench.simulation import Scenario, simulate
 from workbench.verification.part import Part
 
-Say = Callable[[str], None]
-
 TITLE = "On the simulated plant"
 RUNS, STEPPED = 400, 40  # of the plant for each limit; of a law that is computed step by step
 SURE = 1e-3  # probability that a statement about sampling is wrong
@@ -31,7 +30,7 @@ SURE = 1e-3  # probability that a statement about sampling is wrong
 
 def on_plant(
     plant: Plant, law: Any, limits: LoopLimits, fitted: Sequence[Dimension] = (), *, runs: int | None = None, seed: int = 0,
-    progress: Say = lambda _: None,
+    progress: Progress = silent,
 ) -> Part:  # fmt: skip
     """For each limit the worst machine within the plant's tolerances and the `fitted` intervals, which go before.
 
@@ -47,7 +46,7 @@ def on_plant(
     for number, limit in enumerate(resolved(limits.limits, plant, law), 1):
         name = f"{limit.signal}: {' and '.join(limit.kept)}"
         progress(f"worst machine for {name}")
-        found = worst_plant(Search(plant, law, scenario, [limit], tuple(box.values()), runs=count, seed=seed))
+        found = worst_plant(Search(plant, law, scenario, [limit], tuple(box.values()), runs=count, seed=seed, progress=progress))
         worst.append(found)
         said = f"{found.sentence}; the worst of {found.runs} machines within {len(box)} intervals"
         unit = limit.unit_of(found.bound)
@@ -62,7 +61,7 @@ def on_plant(
     blocks: list[Block] = [_machine_table(worst, box)]
     if not compiled:
         progress("machines at random")
-        verdicts.append(_sampled(plant, law, scenario, limits, tuple(box.values()), count, seed, of))
+        verdicts.append(_sampled(plant, law, scenario, limits, tuple(box.values()), count, seed, of, progress))
     return Part(TITLE, tuple(verdicts), (*blocks, *_worst_pictures(plant, law, scenario, worst)), witnesses)
 
 
@@ -73,9 +72,11 @@ def check_asked(limits: LoopLimits) -> None:
         raise InputError(said, file=limits.file or None, mend="give [run] and [limits.SIGNAL], or leave the plant out")
 
 
-def _sampled(plant: Any, law: Any, scenario: Scenario, limits: LoopLimits, box: tuple, runs: int, seed: int, of: str) -> Verdict:
+def _sampled(
+    plant: Any, law: Any, scenario: Scenario, limits: LoopLimits, box: tuple, runs: int, seed: int, of: str, progress: Progress
+) -> Verdict:  # fmt: skip
     """What random machines say: a statement about sampling, not about the worst case."""
-    found = at_random(Search(plant, law, scenario, limits.limits, box, runs=runs, seed=seed))
+    found = at_random(Search(plant, law, scenario, limits.limits, box, runs=runs, seed=seed, progress=progress))
     share = -math.log(SURE) / found.runs
     if found.broken:
         said = f"{found.sentence}; among {found.runs} random machines"

@@ -5,8 +5,9 @@ J w' = kT (U - kT w) / Ra - c w,   tacho: lag y' = 30/pi w - y
 
 import numpy as np
 
-from workbench import Channel, Parameter, Plant, Shaft
+from workbench import Channel, Parameter, Plant
 from workbench.data import Dataset, Experiment
+from workbench.physics.effects import Shaft
 
 DT = 0.005
 RPM = 30.0 / np.pi

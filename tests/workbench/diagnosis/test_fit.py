@@ -11,12 +11,12 @@ from scipy.stats import chi2
 
 from tests.strangers.two_mass import PLANT as PLAY
 from tests.workbench.diagnosis.cases import AXIS, axis_predictor, axis_records, fitted, noise, refitted, steps, with_effect
-from workbench import Slide
 from workbench.data import Channel, Dataset
 from workbench.diagnosis.fit import Term, _inverse, gauss_newton, jacobian, sharpened, small_steps, term
 from workbench.diagnosis.predictor import Noise, predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.physics.controller import Playback
+from workbench.physics.effects import Slide
 from workbench.physics.parameters import Parameter
 from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate

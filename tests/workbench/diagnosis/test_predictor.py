@@ -15,10 +15,11 @@ from tests.workbench.diagnosis.cases import (
     axis_records,
     noise,
 )  # fmt: skip
-from workbench import Parameter, Plant, Span
+from workbench import Parameter, Plant
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.predictor import UNTOLD, VISIBLE, Point, predictor
 from workbench.errors import InputError
+from workbench.physics.effects import Span
 
 M, FV = AXIS.nominal
 

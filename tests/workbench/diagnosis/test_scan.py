@@ -5,12 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.workbench.diagnosis.cases import AXIS, axis_records, fitted
-from workbench import Parameter, Plant, Shaft, Span
+from workbench import Parameter, Plant
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.kalman import response
 from workbench.diagnosis.scan import PEAKS, Scan, latent_push, scan_frequencies, scan_orders, turned
 from workbench.diagnosis.screen import variants
+from workbench.physics.effects import Shaft, Span
 
 ORDERS = np.arange(2.0, 25.0)
 

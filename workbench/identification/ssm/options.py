@@ -89,7 +89,9 @@ class ScheduledMean:
 
 @record
 class SSM:
-    """Options of sparse set membership identification; `fit` gives a model, `sweep` shows what was tried.
+    """y(k) = sum_i f_i(p(k-n)) y(k-i) + sum_i g_i(p(k-i)) u(k-i) + d(k), ||d||_h <= mu: sparse set membership identification.
+
+    `fit` gives the model of the sparsest f and g that keep the bound mu, `sweep` shows what was tried.
 
     order: the number of past samples n; None takes the one of `orders` whose model simulates the estimation records
     best. mu_factor: mu over its smallest feasible value, per output and order; None chooses among `factors` the same
@@ -98,6 +100,9 @@ class SSM:
     basis: None is {1, rho, .., rho^4, rho^-1, .., rho^-3} of [1] with rho over its middle value; where the records' schedule
     reaches zero, {1, rho, .., rho^4} with rho over its largest size.
     feedthrough: a term D u(k) with constant D; None where the records show that inputs act within the sample.
+
+        >>> SSM(order=1, mu_factor=1.1).fit(data).to_control(10.0).poles().round(2)  # frozen at way = 10 mm
+        array([0.89+0.j])
     """
 
     order: int | None = None

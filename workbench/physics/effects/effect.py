@@ -44,7 +44,11 @@ class GridUnit(Enum):
 
 
 class Domain(Enum):
-    """What an effect is drawn over, so that a reader sees it."""
+    """What an effect is drawn over, so that a reader sees it.
+
+    >>> sorted(effect.id for effect in EFFECTS.values() if effect.domain is Domain.TENSION)
+    ['nonlinear-elasticity']
+    """
 
     SPEED = "what is missing over speed"
     ANGLE = "what is missing over the angle of what turns"
@@ -64,6 +68,9 @@ class EffectParameter:
     """One number of an effect. A size is exactly neutral at 0; a shape (width, time constant) has a default instead.
 
     grid: values of a shape that a search tries before it refines them, in grid_unit.
+
+        >>> level = EffectParameter("level", "N m", low=0.0)
+        >>> speed = EffectParameter("speed", "rad/s", low=0.1, default=10.0, shape=True)
     """
 
     name: str
@@ -88,7 +95,7 @@ class EffectParameter:
 
 @record
 class Effect:
-    """Missing physics at a port.
+    """Missing physics at a port: a law that vanishes when its sizes are 0.
 
     law: the equation; what it takes and returns is fixed by the family (its file says so).
     sentence: the cause in a technician's words; {place} is filled in.
@@ -100,6 +107,9 @@ class Effect:
     state: it has a state of its own, integrated with those of the plant. memories: numbers that it keeps from one step, or of an
     actuator from one sample, to the next. middle: the law of a sensor is also given the quantity in the middle of the step.
     includes: ids of effects that it becomes for some of its numbers.
+
+        >>> EFFECTS["coulomb"].equation, EFFECTS["coulomb"].sentence.format(place="the spindle")
+        ('torque = -level * tanh(v / width)', 'Dry friction at the spindle: a constant torque against the direction of motion.')
     """
 
     id: str

@@ -30,7 +30,12 @@ EFFECTS = (SLIP,)
 
 @record
 class Pulley(Port):
-    """Port for the contact between a web and a pulley."""
+    """at.<place>.creep() (T2 - T1): port for the contact between a web and a pulley.
+
+    >>> port = Pulley("guide")
+    >>> [name for name, effect in EFFECTS.items() if effect.family == port.family]
+    ['slip']
+    """
 
     family = "pulley"
     symbols = "slip: by how much the web runs faster than the surface; T1, T2: tensions before and behind the pulley"

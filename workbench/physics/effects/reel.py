@@ -34,7 +34,12 @@ EFFECTS = (ECCENTRICITY,)
 
 @record
 class Reel(Port):
-    """Port for the radius of a reel that turns with the state `speed`."""
+    """r = r0 + at.<place>.runout().radius: port for the radius of a reel that turns with the state `speed`.
+
+    >>> port = Reel("unwind", speed="w1")
+    >>> [name for name, effect in EFFECTS.items() if effect.family == port.family]
+    ['eccentricity']
+    """
 
     speed: str
     family = "reel"

@@ -85,7 +85,12 @@ EFFECTS = (ARM_GRAVITY, RAIL_TILT, PLATFORM_MASS, ARM_REACTION)
 
 @record
 class Robot(Port):
-    """Port for a platform whose arm stands at the angle `arm`, an input of the plant."""
+    """at.<place>.mass(m) v' = .. + at.<place>.force(): port for a platform whose arm stands at `arm`, an input [rad].
+
+    >>> port = Robot("rail", arm="arm")
+    >>> [name for name, effect in EFFECTS.items() if effect.family == port.family]
+    ['arm-gravity', 'rail-tilt', 'platform-mass', 'arm-reaction']
+    """
 
     arm: str
     family = "robot"

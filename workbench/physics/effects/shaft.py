@@ -173,9 +173,13 @@ EFFECTS = (
 
 @record
 class Shaft(Port):
-    """Port for torques on a shaft whose speed is the state `speed`.
+    """J w' = .. + at.<place>.torque(): port for torques on a shaft whose speed is the state `speed`.
 
     loaded: the equation gives the load, `torque(load=...)`; only then load-friction is among the effects.
+
+        >>> port = Shaft("unwind", speed="w1")
+        >>> [name for name, effect in EFFECTS.items() if effect.family == port.family][:3]
+        ['coulomb', 'stribeck', 'asymmetric-friction']
     """
 
     speed: str
@@ -217,12 +221,18 @@ class Shaft(Port):
 
 @record
 class Slide(Shaft):
-    """Port for forces on a body that slides at the speed of the state `speed`: a shaft in N, m and m/s.
+    """m v' = .. + at.<place>.torque(): port for forces on a body that slides at the speed of the state `speed`.
+
+    It is a shaft in N, m and m/s.
 
     travel: length [m] that stands for the radian of a turning shaft, so that default widths given in rad/s fit the speeds met
     here: 0.01 m/s, a hundredth of a body that moves at 1 m/s, as 1 rad/s is of a shaft that turns at 100 rad/s. Where a wheel
     or a screw carries the body, it is the wheel's radius or the lead over 2 pi: imbalance is then a wheel that runs out of
     round, and a ripple counts its teeth.
+
+        >>> port = Slide("rail", speed="v1")
+        >>> [name for name, effect in EFFECTS.items() if effect.family == port.family][:3]
+        ['coulomb', 'stribeck', 'asymmetric-friction']
     """
 
     symbols = (

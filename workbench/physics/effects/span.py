@@ -88,7 +88,12 @@ EFFECTS = (NONLINEAR_ELASTICITY, VISCOELASTIC, PERIODIC_TENSION, STIFFNESS_JUMP)
 
 @record
 class Span(Port):
-    """Port for a span of web whose tension is the state `tension`."""
+    """T' = k e + at.<place>.rate(e, k, rest): port for a span of web whose tension is the state `tension`.
+
+    >>> port = Span("first", tension="T1")
+    >>> [name for name, effect in EFFECTS.items() if effect.family == port.family]
+    ['nonlinear-elasticity', 'viscoelastic', 'periodic-tension', 'stiffness-jump']
+    """
 
     tension: str
     family = "span"

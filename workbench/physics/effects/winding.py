@@ -34,7 +34,12 @@ EFFECTS = (AIR_ENTRAINMENT,)
 
 @record
 class Winding(Port):
-    """Port for the layers that a reel winds up."""
+    """at.<place>.thickness(s, v): port for the thickness of the layers that a reel winds up.
+
+    >>> port = Winding("rewind")
+    >>> [name for name, effect in EFFECTS.items() if effect.family == port.family]
+    ['air-entrainment']
+    """
 
     family = "winding"
     symbols = "thickness: of a layer on the reel; s: that of the tape; v: surface speed"

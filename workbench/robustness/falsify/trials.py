@@ -3,7 +3,7 @@
 The worst run is run once more before it is reported.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from workbench.errors import InputError, check_known
 from workbench.physics import stepper
 from workbench.physics.controller import Controller, Stepped
 from workbench.physics.plant import Plant
+from workbench.progress import Progress, Steps, silent
 from workbench.records import record
 from workbench.robustness.falsify.box import Dimension, ParameterBox
 from workbench.robustness.falsify.counterexample import judged
@@ -23,7 +24,7 @@ LOST = 1e6  # share of a run that left the range at its end, twice that at its s
 TOGETHER = 400_000  # samples of runs that are kept in memory at a time
 PROBED = 32  # random corners at which the integrator's steps are counted beforehand
 POPULATION = 16  # as many as run side by side in the compiled step
-Say = Callable[[str], None]
+PAUSE = 2.0  # s between two lines of progress
 
 
 @record
@@ -42,7 +43,7 @@ class Search:
     runs: int = 1000
     seed: int = 0
     bumpless: bool = True
-    progress: Say = lambda _: None
+    progress: Progress = silent
 
 
 @record
@@ -58,7 +59,7 @@ class Trials:
 
     def __init__(self, search: Search):
         plant, runs = search.plant, search.runs
-        self.plant, self.controller, self.bumpless, self.progress = plant, search.controller, search.bumpless, search.progress
+        self.plant, self.controller, self.bumpless = plant, search.controller, search.bumpless
         self.scenarios = [search.scenarios] if isinstance(search.scenarios, Scenario) else list(search.scenarios)
         self.limits = resolved(search.limits, plant, search.controller)
         self.box, self.dimensions = ParameterBox(plant, search.dimensions), tuple(search.dimensions)
@@ -69,6 +70,7 @@ class Trials:
         self.bare = replace(plant, effects={}) if plant.effects else plant  # runs by themselves name all that acts
         for scenario in self.scenarios:
             self._check(scenario)
+        self.steps = Steps(search.progress, self.budget * len(self.scenarios), "runs", pause=PAUSE)
         self.together = max(POPULATION, TOGETHER // max(len(s) for s in self.scenarios))
         self.seen: dict[bytes, tuple[float, np.ndarray]] = {}
         self.history: list[float] = []
@@ -112,7 +114,6 @@ class Trials:
         return _Scored(np.array([score for score, _ in rows]), np.reshape([own for _, own in rows], (len(z), shares)))
 
     def _run(self, z: np.ndarray) -> None:
-        before = self.best
         shares = np.full((len(self.scenarios), len(z), len(self.limits), len(BOUNDS)), -np.inf)
         used = self._count_steps(z)
         for s, scenario in enumerate(self.scenarios):
@@ -126,8 +127,7 @@ class Trials:
                 self.best, self.worst, self.worst_substeps = float(score[i]), (own.copy(), int(s), int(which)), used
             self.history.append(self.best)
         self.refused += int(np.sum(score == -np.inf))
-        if self.best > before:
-            self.progress(f"{len(self.history) * len(self.scenarios)} runs: largest excess {_share(self.best)}")
+        self.steps.done(len(z) * len(self.scenarios), f"largest excess {_share(self.best)}")
 
     def _run_scenario(self, shares: np.ndarray, z: np.ndarray, scenario: Scenario, substeps: int) -> None:
         """Fills shares (R, limits, bounds). Machines that cannot be run are left at -inf."""
