@@ -172,8 +172,7 @@ def _configuration(options: Namespace, setup: Setup) -> dict[str, Any]:
     return {
         "plant": options.plant, "effects": setup.effects, "parameters": setup.parameters, "start": setup.start,
         "noise_free": options.noise_free, "controller": options.controller, "setpoint": options.setpoint,
-        "duration": options.duration,
-        "limits": options.limits, "effects_of_plant": setup.chosen.plant.effects,
+        "duration": options.duration, "limits": options.limits, "effects_of_plant": setup.chosen.plant.effects,
         "effects_of_experiments": {name: plan(setup.chosen.machine, name).effects for name in options.experiment},
     }  # fmt: skip
 
