@@ -9,7 +9,7 @@ MODULES = {
     "workbench": "workbench/__init__.pyi",
     "workbench.intervals": "workbench/intervals/__init__.pyi",
     "workbench.physics.effects": "workbench/physics/effects/__init__.py",
-    "workbench.sweeps": "workbench/sweeps.py",
+    "workbench.sweeps": "workbench/sweeps/__init__.py",
     "controllers": "controllers/__init__.pyi",
     "plants": "plants/__init__.py",
 }

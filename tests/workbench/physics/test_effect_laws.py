@@ -1,5 +1,7 @@
 """Each law of the catalogue against its defining equation or what mechanics says of it, written out here."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +14,7 @@ from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.effects import EFFECTS
-from workbench.physics.effects.effect import Domain, Effect, EffectParameter, Named, smooth_step
+from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Named, smooth_step
 from workbench.physics.effects.shaft import Shaft, Slide
 from workbench.physics.effects.span import Span
 from workbench.physics.parameters import Parameter
@@ -417,5 +419,9 @@ def test_contradictory_effects_are_refused():
 
 def test_grids_of_a_slide_are_scaled_with_its_speeds():
     width, ratio = EFFECTS["coulomb"].parameters[1], Slide("rail", "v", travel=0.02)
-    assert ratio.fitted(width).grid == pytest.approx([0.02 * value for value in width.grid])
+    fitted = ratio.fitted(width)
+    assert (fitted.unit, fitted.default) == ("m/s", pytest.approx(0.02 * width.default))
+    assert fitted.grid == width.grid  # shares of the largest speed, whatever its unit
+    own = replace(width, grid_unit=GridUnit.ONE, grid=(0.5, 2.0))
+    assert ratio.fitted(own).grid == pytest.approx((0.01, 0.04))
     assert ratio.fitted(EFFECTS["torque-ripple"].parameters[2]).grid == EFFECTS["torque-ripple"].parameters[2].grid
