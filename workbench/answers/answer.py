@@ -82,6 +82,8 @@ class Answer(ABC):
     def plot(self, title: str = "") -> Picture:
         """The first picture of the page whose title begins with `title`; a notebook draws it.
 
+        Its `figure` is the matplotlib figure: `answer.plot().figure.savefig("picture.pdf")`.
+
         Raises InputError where there is none.
         """
         drawn = self._pictures()

@@ -5,6 +5,7 @@ Report("Web winding machine", "SSM names ...", (Section("Models", (picture, tabl
 
 import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,11 @@ class Picture:
     caption: str
     data: Data
     alt: str = ""
+
+    @property
+    def figure(self) -> Any:
+        """The matplotlib figure behind it, to be changed or saved in another format; None where it was read from a file."""
+        return getattr(self.figure_svg, "figure", None)
 
     def _repr_html_(self) -> str:
         """As a notebook shows it."""

@@ -110,6 +110,7 @@ def test_an_answer_says_itself_in_a_few_lines_and_draws_its_page(found, done):
         assert 1 <= len(lines) <= 13
         assert max(map(len, lines)) <= 110
         assert "<svg" in answer.plot().figure_svg
+        assert answer.plot().figure.axes
         assert "<svg" in answer._repr_html_()
         json.dumps(answer.to_dict(), allow_nan=False, default=list)
     assert repr(found).startswith("NAMED")

@@ -114,10 +114,18 @@ def panels(count: int, xlabel: str, *, sharey: bool) -> tuple[Figure, list[Axes]
     return figure, every[:count]
 
 
-def render(figure: Figure) -> str:
+class Svg(str):
+    """SVG text, and the figure that it was rendered from."""
+
+    figure: Figure
+
+
+def render(figure: Figure) -> Svg:
     stream = io.StringIO()
     FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    return stream.getvalue()
+    svg = Svg(stream.getvalue())
+    svg.figure = figure
+    return svg
 
 
 def line(
