@@ -93,7 +93,7 @@ def response(line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.
 
 # one signature each: arrays are made contiguous before they come here. Matrices are small and most entries of F, G and H are 0 in
 # every sample: loops over the others, listed once, take a fraction of what calls of BLAS do. The two passes are
-# long for the reason that `riccati` of the envelopes is, where it was measured: calls cost as much as what such small pieces compute
+# long for the reason that `riccati` of the envelopes is, where it was measured: calls cost as much as such small pieces
 @njit("Tuple((u8[::1], u8[:, ::1]))(f8[:, :, ::1])", cache=True)
 def _entries(M):
     """For each row of M (N, rows, columns) how many entries differ from 0 in any sample, and their columns."""
