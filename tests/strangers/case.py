@@ -354,7 +354,11 @@ def _truth(bench: _Bench, kind: Kind, random: np.random.Generator) -> tuple[Hidd
         found = _limits(bench, log, some, int(random.integers(2**31)))
         for key in some:
             top, (limit, make) = 1.0 / found[key][0], found[key]
-            if top >= LOW and key.partition("@")[0] not in {h.effect for h in chosen}:
+            if (
+                top >= LOW
+                and key.partition("@")[0] not in {h.effect for h in chosen}
+                and not _one_law([key, *(h.key for h in chosen)])
+            ):
                 multiple = float(LOW * (min(HIGH, top) / LOW) ** random.random())
                 chosen.append(make(multiple * limit, multiple))
             if len(chosen) == (2 if kind is Kind.PAIR else 1):
@@ -362,6 +366,12 @@ def _truth(bench: _Bench, kind: Kind, random: np.random.Generator) -> tuple[Hidd
     if not chosen:
         raise InputError(f"seed {bench.seed}: nothing shows in these records of the {machine.name}", mend="see its laboratory")
     return tuple(chosen)
+
+
+def _one_law(keys: list[str]) -> bool:
+    """Whether two of them add up to one of them: friction of each direction holds any dry friction at its place."""
+    places = [{key.partition("@")[2] for key in keys if key.startswith(f"{e}@")} for e in ("coulomb", "asymmetric-friction")]
+    return bool(set.intersection(*places))
 
 
 def _order(keys: list[str], random: np.random.Generator) -> list[str]:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.strangers import bench, cart_pendulum, conical_tank, crane, quarter_car, servo, two_mass
 from tests.strangers.bench import Run, run
-from tests.strangers.case import Hidden, _Bench, _hidden, _tried, course, draw, keys_of, largest, setting
+from tests.strangers.case import Hidden, _Bench, _hidden, _one_law, _tried, course, draw, keys_of, largest, setting
 from tests.strangers.registry import _MODULES, MACHINES
 from tests.strangers.yardstick import Tried, _repeated
 from workbench.physics.controller import Playback
@@ -301,6 +301,19 @@ def test_amplifiers_do_what_their_sentences_say():
         drive.hold(np.array([-2.0]), 1e-3)
         lost += 1e-3 * (2.0 + float(drive.mean(0.0, 1e-3, 0.0, 1e-3)[0]))
     assert lost == pytest.approx(0.04, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("keys", "one"),
+    [
+        (["coulomb@a", "asymmetric-friction@a"], True),
+        (["asymmetric-friction@a", "offset@u", "coulomb@a"], True),
+        (["coulomb@a", "asymmetric-friction@b"], False),
+        (["coulomb@a", "stribeck@a"], False),
+    ],
+)
+def test_what_no_answer_could_name_apart_is_not_hidden_together(keys, one):
+    assert _one_law(keys) is one
 
 
 @pytest.mark.slow
