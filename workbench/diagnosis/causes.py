@@ -6,19 +6,20 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.diagnosis.answer import ROUNDED, Cause, Estimate, Evidence, Finding, Limit, NextExperiment, Remainder, Untestable
-from workbench.diagnosis.equations import Law, instead
+from workbench.diagnosis.equations import Law, instead, one_instead
 from workbench.diagnosis.experiments import Template, deciding
 from workbench.diagnosis.findings import Found, strongest_of
-from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, LAWS, LEFT_OVER, ONE_STEP, TIE
+from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, LAWS, LEFT_OVER, ONE_STEP, TIE, WIDE
 from workbench.diagnosis.referee import Judge, harms
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import Left, trajectory
 from workbench.diagnosis.rivals import reach
 from workbench.diagnosis.rounding import Rounded, limit
 from workbench.diagnosis.scan import ONCE
-from workbench.diagnosis.screen import Signature
+from workbench.diagnosis.screen import Signature, shape_units
 from workbench.diagnosis.search import Step, effect_and_place, measurable
 from workbench.diagnosis.sizes import sizes_of
+from workbench.physics.effects.effect import Domain, GridUnit
 from workbench.physics.parameters import Slot
 from workbench.physics.plant import Plant
 
@@ -85,6 +86,7 @@ def doubted(
     if finding is Finding.NAMED and steps and (beyond or objections or together or better or any(harm.values())):
         finding = Finding.INCOMPLETE
     against = {s.key: said_against(laws[s.key]) if s.key in laws else _not_round(s) for s in steps}
+    against |= {key: doubt for key, doubt in _not_dry(steps).items() if not against[key]}
     against |= {key: f"{pair} explain these records better" for key, pair in pairs.items()}
     if finding is Finding.INCOMPLETE and together:
         against = {s.key: TOGETHER for s in steps}
@@ -160,6 +162,40 @@ def _not_round(step: Step) -> str:
     if turns * order >= ONCE:
         return ""
     return f"{place} turned {turns:.2g} times only: any torque that changes over its angle looks like that"
+
+
+def laws_instead(steps: Sequence[Step], model: Model) -> dict[str, Law]:
+    """By key, the law in one of the plant's own equations that explains the records as well as a cause, or as causes at one place
+    that are laws of the same variable do together.
+    """
+    laws = {s.key: law for s in steps if (law := law_instead(s, model))}
+    slots = {slot.key: slot for slot in model.predictor.plant.slots}
+    groups: dict[tuple[str, Domain], list[str]] = {}
+    for s in steps:
+        groups.setdefault((slots[s.key].place, slots[s.key].effect.domain), []).append(s.key)
+    for keys in groups.values():
+        if len(keys) > 1 and (law := one_instead(model, keys)) and law.gap < TIE:
+            laws |= {key: law for key in keys if key not in laws or law.gap < laws[key].gap}
+    return laws
+
+
+def _not_dry(steps: Sequence[Step]) -> dict[str, str]:
+    """What speaks against dry friction that turns its sign over a good part of all speeds, and against laws over the same speed
+    beside it, by key: such a curve makes up for another one that has no name.
+    """
+    found: dict[str, str] = {}
+    for s in steps:
+        plant, place = s.after.predictor.plant, effect_and_place(s.key)[1]
+        width = sizes_of(s.after, s.key).get("width")
+        if width is None or place not in plant.turning:
+            continue
+        top = shape_units(s.after.predictor, s.after.fit.point)[GridUnit.SPEED, place]
+        if width.low > WIDE * top:
+            share = f"{100 * width.value / top:.0f} % of the largest speed at {place}"
+            laws = [slot.key for slot in plant.slots if slot.place == place and slot.effect.domain in (Domain.SPEED, Domain.LOAD)]
+            found |= {other.key: f"{s.key} beside it is no dry friction" for other in steps if other.key in laws}
+            found[s.key] = f"it turns its sign over {share}: dry friction does so at rest"
+    return found
 
 
 def law_instead(step: Step, model: Model) -> Law | None:

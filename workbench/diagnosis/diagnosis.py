@@ -16,7 +16,7 @@ from workbench.diagnosis.causes import (
     doubted,
     exchanges,
     harm_of,
-    law_instead,
+    laws_instead,
     limits_of,
     next_experiment,
     only_together,
@@ -83,7 +83,7 @@ def diagnose(
     following = next_experiment(found.steps, templates)
     progress("free runs")
     together = only_together(found.base, found.steps)
-    laws = {s.key: law for s in found.steps if (law := law_instead(s, found.model))}  # free runs have gains in another unit
+    laws = laws_instead(found.steps, found.model)  # free runs have gains in another unit
     found = with_free_runs(found, judge)
     progress("gains on held-out records")
     if len(found.base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant

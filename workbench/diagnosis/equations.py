@@ -46,23 +46,42 @@ def instead(model: Model, key: str) -> Law | None:
     A law over what the effect itself is a law of (a command, the speed of a shaft) is no other cause, but its form. A coefficient
     that changes with another variable counts only where it is better: there are so many that one of them ties by chance.
     """
-    plant, unknowns = model.predictor.plant, model.fit.unknowns
-    bare = _without(model, key)
-    trajectories = [trajectory(model, i) for i in range(unknowns.records)]
+    plant = model.predictor.plant
+    trajectories = [trajectory(model, i) for i in range(model.fit.unknowns.records)]
     made = variables(trajectories)
     argument = plant.argument(key.partition("@")[2])
     over = [name for name in (*plant.state_names, *plant.input_names) if name in made and name != argument]
-    plain = {name: (made[name][1], *_powers([t[name] for t in trajectories])) for name in over}
-    near: list[tuple[float, _Form]] = []
+    forms = []
     for state in plant.laws:
         changing = coefficients(model, ("rate", state), trajectories, {name: made[name] for name in over})
         changing = {name: basis for name, (_, basis) in changing.items() if argument not in name.split(" times ")}
-        forms = [_Form(state, name, basis) for name, bases in plain.items() for basis in bases]
+        forms += [_Form(state, name, basis) for name in over for basis in _plain(made, trajectories, name)]
         forms += [_Form(state, name, basis, TIE) for name, basis in changing.items()]
-        for form in forms:
-            linear = _pushed(bare, form).linear
-            if np.isfinite(linear):  # a push that the filter does not hold tells nothing
-                near.append((linear, form))
+    return _best(_without(model, [key]), forms)
+
+
+def one_instead(model: Model, keys: Sequence[str]) -> Law | None:
+    """The one law over the variable that effects at one place are laws of, that stands best for all of them together.
+
+    Dry friction and drag by the square of the speed make up for a drag by its cube: each shows for sure, and neither is there.
+    """
+    plant = model.predictor.plant
+    trajectories = [trajectory(model, i) for i in range(model.fit.unknowns.records)]
+    made = variables(trajectories)
+    (argument,) = {plant.argument(key.partition("@")[2]) for key in keys}
+    if argument not in made:
+        return None
+    forms = [_Form(state, argument, basis) for state in plant.laws for basis in _plain(made, trajectories, argument)]
+    return _best(_without(model, keys), forms)
+
+
+def _best(bare: "_Bare", forms: Sequence["_Form"]) -> Law | None:
+    """The best of those forms that count, fitted where they come close after a linear step."""
+    near: list[tuple[float, _Form]] = []
+    for form in forms:
+        linear = _pushed(bare, form).linear
+        if np.isfinite(linear):  # a push that the filter does not hold tells nothing
+            near.append((linear, form))
     found = []
     for _, form in sorted(near, key=lambda law: law[0])[:FITTED]:
         gap = _fitted(_pushed(bare, form))
@@ -84,10 +103,10 @@ class _Form(NamedTuple):
 
 
 class _Bare(NamedTuple):
-    """A fitted model without one of its effects and with all other unknowns as they are.
+    """A fitted model without some of its effects and with all other unknowns as they are.
 
     fit: there, with the Jacobian of the whole model. left: which unknowns are left; slope, information: over them. with_effect:
-    the cost with the effect, which has so many numbers.
+    the cost with the effects, which have so many numbers.
     """
 
     model: Model
@@ -113,22 +132,28 @@ class _Push(NamedTuple):
     more: float
 
 
+def _plain(made, trajectories, name: str) -> list[Sequence[np.ndarray]]:
+    """Bases of laws over a variable: bumps, its square, its cube."""
+    return [made[name][1], *_powers([t[name] for t in trajectories])]
+
+
 def _powers(values: Sequence[np.ndarray]) -> list[list[np.ndarray]]:
     """Bases of one number: the square and the cube of a variable (N,), in sizes of its largest value; each by record."""
     size = max(float(np.abs(v).max()) for v in values)
     return [[(v[:, None] / size) ** power for v in values] for power in (2, 3)]
 
 
-def _without(model: Model, key: str) -> _Bare:
+def _without(model: Model, keys: Sequence[str]) -> _Bare:
     fit, unknowns = model.fit, model.fit.unknowns
-    named, place = next((t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key == key)
-    z = fit.z.copy()
-    z[place] = 0.0
-    z[place.start : place.start + len(named.sizes)] = unknowns.base[list(named.sizes)]  # the plant's own, 0 where it has none
-    left = np.delete(np.arange(unknowns.size), place)
+    named = [(t, p) for t, p in zip(unknowns.terms, unknowns.places, strict=True) if t.key in keys]
+    z, all_of = fit.z.copy(), np.arange(unknowns.size)
+    for t, place in named:
+        z[place] = 0.0
+        z[place.start : place.start + len(t.sizes)] = unknowns.base[list(t.sizes)]  # the plant's own, 0 where it has none
+    left = np.delete(all_of, np.concatenate([all_of[place] for _, place in named]))
     bare = replace(fit, z=z, errors=tuple(model.predictor.at(unknowns.point(z))))
     information = fit.information[np.ix_(left, left)]
-    return _Bare(model, bare, left, _slope(bare, left), information, fit.cost, named.count(unknowns.records))
+    return _Bare(model, bare, left, _slope(bare, left), information, fit.cost, sum(t.count(unknowns.records) for t, _ in named))
 
 
 def _slope(fit: Fit, left: np.ndarray) -> np.ndarray:

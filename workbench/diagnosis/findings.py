@@ -61,7 +61,8 @@ class Found:
     def without_size(self) -> dict[str, float]:
         """What effects seem to explain beside the causes, though no size of them does in all records, by key."""
         local = {self.local.key: self.local.gain} if self.local else {}
-        return local | ({self.unresolved.key: self.unresolved.statistic} if self.unresolved else {})
+        shown = local | ({self.unresolved.key: self.unresolved.statistic} if self.unresolved else {})
+        return {key: value for key, value in shown.items() if key not in self.model.keys}
 
     @property
     def finding(self) -> Finding:

@@ -15,6 +15,7 @@ UNTOLD = 0.5  # share of what causes gain from which on, left without a name, th
 LOCAL = 20.0  # BIC from which a cause that does not hold everywhere is told
 ALONE = 0.2  # share of what causes explain together, below which they are not sure where each of them left out leaves no more
 LAWS = 0.05  # share of what causes gain up to which what is left may be the ideal form of their laws
+WIDE = 0.1  # share of the largest speed over which a friction may turn its sign for sure and still be dry
 PRACTICAL = 5e-4  # share of the squared errors below which an effect is of no practical size
 LIKE_THE_FIRST = 0.03  # of the first cause's gain: less at the same place is the first one's form
 SAME_CURVE = 0.1  # the same for effects over one and the same variable: torques over speed add up to one curve

@@ -8,7 +8,7 @@ the residual itself: signs of whole blocks are flipped (wild bootstrap), the sma
 the smallest of each draw (Westfall and Young).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -20,6 +20,7 @@ from workbench.diagnosis.fit import Fit, _inverse
 from workbench.diagnosis.predictor import Point, Predictor
 from workbench.diagnosis.scan import Scan, scan_frequencies, scan_orders
 from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
+from workbench.physics.parameters import Slot
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 
@@ -104,8 +105,7 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
     Of the orders and frequencies of a periodic effect only the most likely one is tried; see `scan`.
     """
     plant, found = predictor.plant, []
-    length = max(len(r) for r in predictor.records) * plant.dt
-    speeds = _speeds(predictor, fit.point)
+    units = shape_units(predictor, fit.point)
     for key in keys:
         own = [i for i, slot in enumerate(plant.slots) if slot.key == key]
         effect = plant.slots[own[0]].effect
@@ -117,17 +117,12 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
             if scan is not None:
                 found += [Variant(key, sizes, ((shape, value),), np.nan, True, scan.tries) for value in scan.peaks]
             continue
-        grids, middle = [], {i: plant.slots[i].parameter.default for i in shapes}
+        grids, middle = [], {i: _middle(plant.slots[i], units) for i in shapes}
         for i in shapes:
-            q = plant.slots[i].parameter
-            if q.grid_unit is GridUnit.SPEED and q.grid:  # a default would be far from the speeds of this machine
-                unit = speeds[plant.slots[i].place]
-                middle[i] = _middle(q, unit)
-            else:
-                unit = length if q.grid_unit is GridUnit.RECORD else plant.dt if q.grid_unit is GridUnit.SAMPLE else 1.0
+            q, unit = plant.slots[i].parameter, _shape_unit(plant.slots[i], units, plant.dt)
             if q.grid_unit is GridUnit.CYCLES:
-                values = _periods(q, length)
-            elif q.grid:  # some values of a grid: a refit finds what lies between
+                values = _periods(q, _length(predictor))
+            elif q.grid and unit > 0.0:  # some values of a grid: a refit finds what lies between
                 inner = np.linspace(0, len(q.grid) - 1, (FINE if q.unit == "s" else COARSE) + 2)[1:-1]
                 values = [q.grid[k] for k in sorted({round(x) for x in inner})]
             else:
@@ -144,7 +139,7 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
 def dated_variants(predictor: Predictor, v: Variant) -> list[Variant]:
     """A variant at every date or period of its effect's grid; none where the effect has no such shape."""
     plant = predictor.plant
-    length = max(len(r) for r in predictor.records) * plant.dt
+    length = _length(predictor)
     for i, _ in v.shapes:
         q = plant.slots[i].parameter
         if q.grid_unit is GridUnit.RECORD or (q.unit == "s" and q.grid and not v.phase):
@@ -176,16 +171,35 @@ def _one_at_a_time(grids: Sequence[list[tuple[int, float]]], middle: dict[int, f
     return list(dict.fromkeys(tried)) or [()]
 
 
-def _middle(q: EffectParameter, unit: float) -> float:
-    """The middle of a shape's grid, within its bounds."""
-    return min(max(q.grid[len(q.grid) // 2] * unit, q.low), q.high)
+def _middle(slot: Slot, units: Mapping[tuple[GridUnit, str], float]) -> float:
+    """Where a shape stands while others are tried: in the middle of a grid that is in units of the records, else its default."""
+    q, unit = slot.parameter, units.get((slot.parameter.grid_unit, slot.place), 0.0)
+    return min(max(q.grid[len(q.grid) // 2] * unit, q.low), q.high) if q.grid and unit > 0.0 else q.default
 
 
-def _speeds(predictor: Predictor, point: Point) -> dict[str, float]:
-    """Place -> the largest speed of what turns or slides there, but for a hundredth of the samples."""
+def _shape_unit(slot: Slot, units: Mapping[tuple[GridUnit, str], float], dt: float) -> float:
+    """What the grid of a shape is multiplied by."""
+    other = dt if slot.parameter.grid_unit is GridUnit.SAMPLE else 1.0
+    return units.get((slot.parameter.grid_unit, slot.place), other)
+
+
+def shape_units(predictor: Predictor, point: Point) -> dict[tuple[GridUnit, str], float]:
+    """The units of grids that are in units of the records, by place: their length, and the largest speed there.
+
+    Of a speed, that which all but a hundredth of the samples of some record keep below.
+    """
     plant = predictor.plant
-    full = np.abs(np.nan_to_num(np.concatenate([predictor.corrected(i, point) for i in range(len(predictor.records))])))
-    return {place: float(np.quantile(full[:, plant.state_names.index(name)], 0.99)) for place, name in plant.turning.items()}
+    found = {(GridUnit.RECORD, slot.place): _length(predictor) for slot in plant.slots}
+    full = [np.abs(np.nan_to_num(predictor.corrected(i, point))) for i in range(len(predictor.records))]
+    for place, name in plant.turning.items():
+        j = plant.state_names.index(name)
+        found[GridUnit.SPEED, place] = max(float(np.quantile(x[:, j], 0.99)) for x in full)
+    return found
+
+
+def _length(predictor: Predictor) -> float:
+    """Of the longest record [s]."""
+    return max(map(len, predictor.records)) * predictor.plant.dt
 
 
 def _unit(plant: Plant, predictor: Predictor, unit: GridUnit, place: str) -> float:
@@ -294,35 +308,48 @@ def _blocks(predictor: Predictor, i: int) -> np.ndarray:
 def small_sizes(predictor: Predictor, fit: Fit) -> np.ndarray:
     """For every size of every effect (ne) a step that changes the whitened errors by about `WANTED`, whatever its unit.
 
-    Where nothing changes it stays as it began: of an irregular effect as a small share of the least size that is tried.
+    The change is that of all records together: an effect may show in one of them only. Where nothing changes, the step is the
+    first one: of an irregular effect a small share of the least size that is tried.
     """
     plant, at = predictor.plant, fit.point.eta.copy()
-    fitted, speeds = {t.key for t in fit.unknowns.terms}, _speeds(predictor, fit.point)
+    fitted, units = {t.key for t in fit.unknowns.terms}, shape_units(predictor, fit.point)
     sizes, unknown = np.zeros(len(plant.slots)), []
     for i, slot in enumerate(plant.slots):
         q, effect = slot.parameter, slot.effect
         if not q.shape:
             tried = [g * _unit(plant, predictor, effect.grid_unit, slot.place) for g in effect.grid]
-            sizes[i] = LEAST if effect.regular else LEAST * min(tried)
+            sizes[i] = min(LEAST if effect.regular else LEAST * min(tried), 0.5 * q.high)
             unknown.append(i)
-        elif q.grid_unit is GridUnit.SPEED and q.grid and slot.key not in fitted:
-            at[:, i] = _middle(q, speeds[slot.place])
-    for i in range(len(predictor.records)):
-        for _ in range(TRIALS):
-            if not unknown:
-                break
-            eta = np.repeat(at[i][None], len(unknown) + 1, axis=0)
-            for c, s in enumerate(unknown, start=1):
-                eta[c, s] += min(sizes[s], 0.5 * plant.slots[s].parameter.high)
-            e = _sorted_errors(predictor, i, fit.point, eta)
-            again = []
-            for s, norm in zip(unknown, np.sqrt(((e[1:] - e[:1]) ** 2).sum(axis=(1, 2))), strict=True):
-                ratio = WANTED / norm if norm > ROUNDED else FARTHER
-                if norm > ROUNDED or plant.slots[s].effect.regular:
-                    sizes[s] *= ratio
-                    again += [s] if not 1e-3 < ratio < 1e3 else []
-            unknown = again
+        elif slot.key not in fitted:
+            at[:, i] = _middle(slot, units)
+    first = sizes.copy()
+    for _ in range(TRIALS):
+        if not unknown:
+            break
+        again = []
+        for s, norm in zip(unknown, _norms(predictor, fit.point, at, [(s, float(sizes[s])) for s in unknown]), strict=True):
+            if not norm > ROUNDED and not plant.slots[s].effect.regular:
+                continue
+            ratio = WANTED / norm if norm > ROUNDED else FARTHER
+            sizes[s] = min(ratio * sizes[s], 0.5 * plant.slots[s].parameter.high)
+            again += [s] if not 1e-3 < ratio < 1e3 else []
+        unknown = again
+    norms = _norms(predictor, fit.point, at, [(s, float(sizes[s])) for s in unknown])
+    never = [s for s, norm in zip(unknown, norms, strict=True) if not norm > ROUNDED]
+    sizes[never] = first[never]
     return sizes
+
+
+def _norms(predictor: Predictor, point: Point, at: np.ndarray, steps: Sequence[tuple[int, float]]) -> np.ndarray:
+    """How far each step (slot, size) from the effects `at` moves the whitened errors of all records."""
+    squares = np.zeros(len(steps))
+    for i in range(len(predictor.records)):
+        eta = np.repeat(at[i][None], len(steps) + 1, axis=0)
+        for c, (s, size) in enumerate(steps, start=1):
+            eta[c, s] += size
+        e = _sorted_errors(predictor, i, point, eta)
+        squares += ((e[1:] - e[:1]) ** 2).sum(axis=(1, 2))
+    return np.sqrt(squares)
 
 
 def _reduction(b: np.ndarray, S: np.ndarray, low: np.ndarray, variant: Variant) -> np.ndarray:

@@ -225,8 +225,8 @@ def _step(
 class _Race:
     """A model extended by one of several effects each: first fits, those that may be the best, and these fitted to convergence.
 
-    trials: first fits, best first. near: keys of those with a chance. first: the best of the first fits, converged. others: times
-    of a late effect that explain the records as well, by key.
+    trials: the best of the first fits, then the others, begun beside it too, best first. near: keys of those with a chance.
+    first: the best of the first fits, converged. others: times of a late effect that explain the records as well, by key.
     """
 
     def __init__(self, model: Model, short: Sequence[Score], sizes: np.ndarray):
@@ -235,7 +235,8 @@ class _Race:
         self.trials = refits(model, short, sizes)
         self.first = self.final(*self.trials[0])
         # what looks alike must not differ by the way that its noise levels went: all begin where the first one ended, too
-        self.trials[1:] = [(begun_beside(m, self.first, sizes), s) for m, s in self.trials[1:]]
+        others = [(begun_beside(m, self.first, sizes), s) for m, s in self.trials[1:]]
+        self.trials[1:] = sorted(others, key=lambda pair: pair[0].bic)
         self.near = self._near()
 
     def _near(self) -> set[str]:

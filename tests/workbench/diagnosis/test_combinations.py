@@ -56,3 +56,22 @@ def test_plain_friction_is_no_sum():
     (cause,) = named(51, lambda v: -40.0 * np.tanh(v / WIDTH)).values()
     assert cause.effect == "coulomb"
     assert not any(" + " in key for key in cause.ties)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [81, 91])
+def test_two_laws_that_add_up_to_a_third_one_are_not_sure(seed):
+    """Drag by the cube of the speed: no law of the catalogue, and two of them come close together."""
+    causes = named(seed, lambda v: -15.0 * v**3)
+    assert all(cause.doubt for cause in causes.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [101, 111])
+def test_two_laws_at_one_place_are_told_where_both_are_there(seed):
+    """Each by itself, or together as the rival of one that stands for both: no other name is sure."""
+    causes = named(seed, lambda v: -40.0 * np.tanh(v / WIDTH) - 25.0 * v * abs(v))
+    true = ("coulomb@slide", "quadratic-friction@slide")
+    told = set(true) <= set(causes) or any(" + ".join(true) in cause.ties for cause in causes.values())
+    assert told
+    assert all(cause.doubt for key, cause in causes.items() if key not in true and not cause.ties)
