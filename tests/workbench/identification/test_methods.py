@@ -90,7 +90,7 @@ def test_records_without_outputs_are_refused(fitted, records):
 def test_every_method_is_in_the_registry():
     """A class whose fit returns an LPVModel is a method: whoever adds one must list it."""
     found = set()
-    for path in Path(identification.__file__).parent.glob("*.py"):
+    for path in Path(identification.__file__).parent.rglob("*.py"):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and not any("Protocol" in ast.unparse(b) for b in node.bases):
                 for item in node.body:
