@@ -74,11 +74,13 @@ def doubted(
     beyond: Sequence[str],
     objections: Sequence[str],
     together: bool,
+    wide: Mapping[str, str],
 ) -> tuple[Finding, dict[str, str]]:
     """The finding, incomplete where anything speaks against a cause that was named, and the doubts about each cause.
 
     laws, harm: what `law_instead` and `harm_of` say of a cause, by key. beyond: parameters that left their tolerance. objections:
-    of the referee against the extended plant. together: whether causes explain next to nothing without each other.
+    of the referee against the extended plant. together: whether causes explain next to nothing without each other. wide: what
+    `not_dry` says of a cause, by key.
     """
     steps = found.steps
     pairs = {s.key: pair for s in steps for pair, gap in s.pairs.items() if gap < -TIE}
@@ -86,7 +88,7 @@ def doubted(
     if finding is Finding.NAMED and steps and (beyond or objections or together or better or any(harm.values())):
         finding = Finding.INCOMPLETE
     against = {s.key: said_against(laws[s.key]) if s.key in laws else _not_round(s) for s in steps}
-    against |= {key: doubt for key, doubt in _not_dry(steps).items() if not against[key]}
+    against |= {key: doubt for key, doubt in wide.items() if not against[key]}
     against |= {key: f"{pair} explain these records better" for key, pair in pairs.items()}
     if finding is Finding.INCOMPLETE and together:
         against = {s.key: TOGETHER for s in steps}
@@ -179,7 +181,7 @@ def laws_instead(steps: Sequence[Step], model: Model) -> dict[str, Law]:
     return laws
 
 
-def _not_dry(steps: Sequence[Step]) -> dict[str, str]:
+def not_dry(steps: Sequence[Step]) -> dict[str, str]:
     """What speaks against dry friction that turns its sign over a good part of all speeds, and against laws over the same speed
     beside it, by key: such a curve makes up for another one that has no name.
     """

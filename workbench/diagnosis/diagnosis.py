@@ -19,6 +19,7 @@ from workbench.diagnosis.causes import (
     laws_instead,
     limits_of,
     next_experiment,
+    not_dry,
     only_together,
     remainder_said,
     rounded_cause,
@@ -119,7 +120,8 @@ def _answered(plant: Plant, found: Found, given: Model, judge: Judge, laws: Mapp
     beyond = beyond_tolerance(base, model)
     harm = {s.key: harm_of(judge, s) for s in steps}
     model = model.sharpened()
-    finding, doubts = doubted(found, with_rounding(found, [c.place for c in rounds]), laws, harm, beyond, objections, together)
+    said = with_rounding(found, [c.place for c in rounds])
+    finding, doubts = doubted(found, said, laws, harm, beyond, objections, together, not_dry(steps))
     causes = tuple(replace(cause_of(plant, s, model, judge.gained(s.before, s.after)), doubt=doubts[s.key]) for s in steps)
     return Diagnosis(
         plant=plant.name,

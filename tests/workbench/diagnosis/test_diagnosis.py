@@ -552,7 +552,7 @@ def test_a_pair_that_explains_much_more_than_the_one_law_speaks_against_it(gap, 
         after=with_numbers(AXIS, ""),
     )
     found = SimpleNamespace(steps=(step,), left=(), without_size={}, base=with_numbers(AXIS, ""))
-    answer, doubts = causes.doubted(found, Finding.NAMED, {}, {step.key: ""}, (), (), False)
+    answer, doubts = causes.doubted(found, Finding.NAMED, {}, {step.key: ""}, (), (), False, {})
     assert answer is finding
     assert (doubts[step.key] == "coulomb@slide + offset@F explain these records better") is (finding is Finding.INCOMPLETE)
 
@@ -562,5 +562,5 @@ def test_what_is_left_is_compared_with_the_variable_of_a_cause_s_own_law():
     for variable, sure in (("v", False), ("q", True)):  # the slide rubs over its speed v
         left = (SimpleNamespace(variable=variable, statistic=30.0, p_family=1e-6),)
         found = SimpleNamespace(steps=(step,), left=left, without_size={}, base=with_numbers(AXIS, ""))
-        _, doubts = causes.doubted(found, Finding.INCOMPLETE, {}, {step.key: ""}, (), (), False)
+        _, doubts = causes.doubted(found, Finding.INCOMPLETE, {}, {step.key: ""}, (), (), False, {})
         assert (doubts[step.key] == "") is sure
