@@ -69,13 +69,21 @@ def _identify(sub: argparse.ArgumentParser) -> None:
         "--model",
         default="all",
         metavar="M",
-        help="lti, ilm, ssm, interval, several (lti,interval), all (lti,ilm,ssm), or best: chosen on the estimation records",
+        help="lti, ilm, ssm, oe (one or two poles and a dead time), interval, several (lti,interval), all (lti,ilm,ssm,oe), or "
+        "best: chosen on the estimation records",
     )
     sub.add_argument("--order", type=_positive, help="model order (default: chosen on the estimation records)")
     sub.add_argument(
         "--feedthrough",
         action=argparse.BooleanOptionalAction,
         help="lti, ssm: let inputs act within their own sample, or not (default: where the records show it)",
+    )
+    sub.add_argument(
+        "--criterion",
+        default="best",
+        metavar="C",
+        help="prediction: of the next sample; simulation: refined by the error of free runs; best: refined where parts of the "
+        "records run better by it (default)",
     )
     _holdout(sub, "records that no model is made from, to score on", "--validate")
     _sample_time(sub, "their own, or one that suits the motion where they are sampled ten times too fast")

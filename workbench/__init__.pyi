@@ -15,6 +15,7 @@ from .data import Experiment as Experiment
 from .errors import InputError as InputError
 from .identification.ilm import ILM as ILM
 from .identification.lti import LTI as LTI
+from .identification.output_error.method import OutputError as OutputError
 from .identification.ssm import SSM as SSM
 from .identification.subspace import N4SID as N4SID
 from .identification.subspace import PBSID as PBSID

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 SCHEMA = "gain-scheduling-workbench/lpv-model"
 VERSION = 1
 MUCH = 0.02  # widths of a schedule range, by which a record may leave it unsaid
+FORGOTTEN = 0.01  # of a start: what is left of it counts as nothing
+TOLD = 2  # values for each state that is to be told from them
+KNOWN = 1e-6  # of the best known direction of a start: what is known less is taken to be 0
 CHUNK = 4096  # samples whose scheduled matrices are held at once
 
 
@@ -160,6 +163,7 @@ class Predictor:
     G: np.ndarray = field("nt nx nu")
     K: np.ndarray = field("nt nx ny")
     warmup: int = 20  # samples after which the predictor has forgotten its initial state
+    free_start: bool = False  # a free run begins where it errs least itself in the warm-up, not where the predictor has led
 
 
 @record
@@ -301,7 +305,8 @@ class LPVModel:
         """
         u, y, weight = self.deviations(experiment)
         n = self.warmup if warmup is None else warmup
-        x = self._predictor_states(u[:n], y[:n], weight[:n])
+        free = self.predictor is not None and self.predictor.free_start
+        x = self._states(u[:n], y[:n], weight[:n], n, free=free)
         out = np.empty((len(u), len(self.outputs)))
         state = x[-1]
         for k0, A, B, C, D in self._slices(weight, self.A, self.B, self.C, self.D):
@@ -321,7 +326,7 @@ class LPVModel:
         steps - 1 rows after it look ahead less far, and the rows within it are one-step predictions of a cold predictor.
         """
         u, y, weight = self.deviations(experiment)
-        states = self._predictor_states(u, y, weight)[:-1]
+        states = self._states(u, y, weight, self.warmup)[:-1]
         N, first = len(u), self.warmup
         out = np.empty((N, len(self.outputs)))
         for begin in range(0, N, CHUNK):
@@ -362,18 +367,45 @@ class LPVModel:
             w = weight[k0 : k0 + CHUNK]
             yield k0, *(np.tensordot(w, M, 1) for M in matrices)
 
-    def _predictor_states(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """States (N + 1, nx) of the one-step predictor started at zero; row k has seen y(0..k-1)."""
-        x = np.zeros((len(u) + 1, self.order))
-        if self.predictor is None:
+    def _states(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray, first: int, *, free: bool = False) -> np.ndarray:
+        """States (N + 1, nx) of the one-step predictor, row k has seen y(0..k-1); free: of a free run.
+
+        From the start under which it errs least on the first samples; from zero where these suffice to forget it.
+        """
+        own = self.predictor
+        if own is None:
             if len(u):
                 raise InputError("this model has no predictor, so it cannot follow measured outputs", file=self.name)
-            return x
-        for k0, F, G, K in self._slices(weight, self.predictor.F, self.predictor.G, self.predictor.K):
-            for i in range(len(F)):
+            return np.zeros((1, self.order))
+        F, G, K = (self.A, self.B, np.zeros_like(own.K)) if free else (own.F, own.G, own.K)
+        x = self._led(F, G, K, u, y, weight, np.zeros(self.order))
+        start = self._start(F, u[:first], y[:first], weight[:first], x[:first])
+        return x if start is None else self._led(F, G, K, u, y, weight, start)
+
+    def _led(self, F, G, K, u: np.ndarray, y: np.ndarray, weight: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """x(k+1) = F x + G u + K y from `start`, (N + 1, nx); F, G, K by term."""
+        x = np.zeros((len(u) + 1, self.order))
+        x[0] = start
+        for k0, A, B, L in self._slices(weight, F, G, K):
+            for i in range(len(A)):
                 k = k0 + i
-                x[k + 1] = F[i] @ x[k] + G[i] @ u[k] + K[i] @ y[k]
+                x[k + 1] = A[i] @ x[k] + B[i] @ u[k] + L[i] @ y[k]
         return x
+
+    def _start(self, F, u: np.ndarray, y: np.ndarray, weight: np.ndarray, x: np.ndarray) -> np.ndarray | None:
+        """The start that lowers the errors most of a run x (n, nx) that began at zero.
+
+        None where the run has forgotten it, or where so few samples tell more of the noise than of a start.
+        """
+        left = [np.eye(self.order)]  # of a start after k samples: F(k-1) .. F(0)
+        for _, own in self._slices(weight, F):
+            for step in own:
+                left.append(step @ left[-1])
+        if y.size < TOLD * self.order or np.abs(left[-1]).max(initial=0.0) <= FORGOTTEN:
+            return None
+        C, D = np.tensordot(weight, self.C, 1), np.tensordot(weight, self.D, 1)
+        e = y - np.einsum("kyx,kx->ky", C, x) - np.einsum("kyu,ku->ky", D, u)
+        return np.linalg.lstsq(np.concatenate(C @ np.stack(left[:-1])), e.ravel(), rcond=KNOWN)[0]
 
     # ---- files ------------------------------------------------------------------------------------------------------
 
@@ -395,6 +427,7 @@ class LPVModel:
                 "y": self.operating_point.y,
             },
             "predictor_warmup": self.predictor.warmup if self.predictor else None,
+            "predictor_free_start": bool(self.predictor and self.predictor.free_start),
             "terms": [
                 {"function": term.function, "name": self.basis.names[term.function], "delay": term.delay}
                 | {key: M[j] for key, M in self._matrices().items()}
@@ -454,7 +487,8 @@ def model_from_dict(content: dict[str, Any]) -> LPVModel:
     warmup = content["predictor_warmup"]
     predictor = None
     if warmup is not None:
-        predictor = Predictor(*(np.array([term[key] for term in terms]) for key in "FGK"), warmup=warmup)
+        F, G, K = (np.array([term[key] for term in terms]) for key in "FGK")
+        predictor = Predictor(F, G, K, warmup, content.get("predictor_free_start", False))
     point = content["operating_point"]
     return LPVModel(
         name=content["name"],

@@ -37,14 +37,20 @@ def run(options: Namespace) -> int:
         _say_advice(given.held_out, options.order, warnings_only=True)
     found = identify(
         given.own, given.held_out, methods=methods, best=options.model == "best", interval=interval, dt=given.own.dt,
-        horizon=options.horizon, accept=options.accept, progress=progress,
+        horizon=options.horizon, criterion=options.criterion, accept=options.accept, progress=progress,
     )  # fmt: skip
     for remark in found.remarks:
         say(remark)
     code = say_models(found.results, options.accept)
     if not options.holdout:
         say("no held-out records: these scores are of the records the models were made from. Add --holdout RECORD.")
-    asked = {"model": options.model, "order": options.order, "feedthrough": options.feedthrough, "dt": given.own.dt} | roles
+    asked = {
+        "model": options.model,
+        "order": options.order,
+        "feedthrough": options.feedthrough,
+        "criterion": options.criterion,
+        "dt": given.own.dt,
+    } | roles
     asked |= {"interval": str(interval)} if interval else {}
     folder = run_folder(options.out, "identify")
     found.save(folder, source=provenance(asked, [*options.records, *options.holdout]))
@@ -57,7 +63,9 @@ def run(options: Namespace) -> int:
 def _method_options(options: Namespace, method: str) -> dict[str, Any]:
     """What the options ask of a method."""
     own: dict[str, Any] = {} if options.order is None else {"order": options.order}
-    if options.feedthrough is not None and method != "ilm":  # which has none
+    if method == "oe" and own.get("order", 0) > 2:  # a floor stays one
+        del own["order"]
+    if options.feedthrough is not None and method in ("lti", "ssm"):
         own["feedthrough"] = options.feedthrough
     return own
 

@@ -103,7 +103,7 @@ def test_identify_and_compare(records, tmp_path, capsys):
     assert "held-out" in first  # the headline
     assert "free-run" in first
     content = json.loads((tmp_path / "s.json").read_text())
-    assert [m["model"] for m in content["models"]] == ["LTI", "ILM", "SSM"]
+    assert [m["model"] for m in content["models"]] == ["LTI", "ILM", "SSM", "OE"]
     one = content["models"][2]["scores"][0]
     assert set(one) == {"record", "split", "output", "horizon", "FIT", "RM", "RMSE", "unit"}
     assert set(content["provenance"]["data"]) == {"prbs1.csv", "rbs.csv", "rgs.csv"}

@@ -91,12 +91,13 @@ def headline(results: Sequence[ScoredModel]) -> str:
 
 
 def verdict(scores: Sequence[Score]) -> str:
-    """The headline: free-run FIT by model on held-out records, or that there are none."""
+    """The headline: free-run FIT by model on held-out records, the best first, or that there are none."""
     free = [s for s in scores if s.horizon == "free-run"]
     held_out = [s for s in free if s.split == "held-out"]
     counted = held_out or free
     said = []
-    for model in dict.fromkeys(s.model for s in counted):
+    models = dict.fromkeys(s.model for s in counted)
+    for model in sorted(models, key=lambda name: -float(np.mean([s.FIT for s in counted if s.model == name]))):
         own = [s for s in counted if s.model == model]
         by_output = [
             f"{output} {min(fits):.1f}" + (f" to {max(fits):.1f} %" if len(fits) > 1 else " %")

@@ -16,13 +16,14 @@ from workbench.answers.answer import Answer, Records, as_dataset, refused
 from workbench.answers.comparison import comparison, headline, score_table
 from workbench.answers.envelopes import Method as IntervalMethod
 from workbench.answers.envelopes import described_modes, fit_outputs
-from workbench.answers.objections import refereed
+from workbench.answers.objections import above_floor, refereed
 from workbench.answers.scored import ScoredModel, scores_file
 from workbench.data import Dataset, check_held_out
 from workbench.decimation import thinned
 from workbench.errors import InputError, check_known
 from workbench.files import write_json
 from workbench.identification import METHODS
+from workbench.identification.criterion import ByCriterion
 from workbench.identification.selection import Choice, Method, choose
 from workbench.intervals.coverage import cover
 from workbench.intervals.model import IntervalModel
@@ -38,17 +39,17 @@ SCORES_FILE = "scores.json"
 
 def identify(
     records: Dataset, held_out: Dataset | None = None, *, methods: Mapping[str, Method] | Sequence[str] | None = None,
-    best: bool | None = None, interval: IntervalMethod | None = None, dt: float | None = None, horizon: int = 25,
-    accept: bool = False,
-    progress: Progress = silent,
+    best: bool | None = None, criterion: str = "best", interval: IntervalMethod | None = None, dt: float | None = None,
+    horizon: int = 25, accept: bool = False, progress: Progress = silent,
 ) -> "IdentificationResult":  # fmt: skip
     """LPV models of the outputs of `records` from their inputs over their schedule, scored on `held_out` records.
 
-    methods: names ("lti", "ilm", "ssm"), or methods by name such as {"ssm": SSM(order=3)}; default all. best: only the one of
-    them that runs best on parts of `records` that it was not fitted to; default where no methods are named, otherwise each is
-    fitted. interval: an interval method that is fitted beside them. dt [s]: sample time to bring the records to. horizon: steps
-    of the k-step prediction that is scored. accept: hand out models that the referee objects to. Raises InputError for records
-    without inputs or outputs, and where no method can be fitted.
+    methods: names ("lti", "ilm", "ssm", "oe"), or methods by name such as {"ssm": SSM(order=3)}; default all. best: only the one
+    of them that runs best on parts of `records` that it was not fitted to; default where no methods are named, otherwise each is
+    fitted. criterion: "prediction" as the methods do, "simulation" with every model refined by the error of its free runs, "best"
+    where that runs better on parts of `records` (see `ByCriterion`). interval: an interval method that is fitted beside them.
+    dt [s]: sample time to bring the records to. horizon: steps of the k-step prediction that is scored. accept: hand out models
+    that the referee objects to. Raises InputError for records without inputs or outputs, and where no method can be fitted.
 
         >>> identify(data, held_out, methods=["ssm"])
         Free-run FIT on held-out records. SSM: n 92.0 %.
@@ -56,7 +57,7 @@ def identify(
     given = prepared(records, held_out, dt)
     chosen = methods is None if best is None else best
     by_name = methods if isinstance(methods, Mapping) else {name: _method(name) for name in methods or METHODS}
-    named = _possible(by_name, given.own, progress)
+    named = {name: ByCriterion(method, criterion) for name, method in _possible(by_name, given.own, progress).items()}
     bounded: dict[str, IntervalModel] = {}
     if interval is not None:  # first, for it refuses most
         progress("interval: identifying")
@@ -73,7 +74,8 @@ def identify(
         envelopes = cover(model, given.own, "estimation") + held
         results.append(ScoredModel(model, f"{name}.json", tuple(c.nominal for c in envelopes), envelopes))
     results = refereed(results, given.own, given.shown)
-    return IdentificationResult(tuple(results), given, choice, tuple(remarks), accept)
+    results, below = above_floor(results)
+    return IdentificationResult(tuple(results), given, choice, (*remarks, *below), accept)
 
 
 @record

@@ -10,6 +10,8 @@ from workbench.data import Dataset
 from workbench.identification.leaks import leaks, too_good
 from workbench.metrics import Score
 
+FLOOR = "oe.json"  # the file of the model that every other one must beat
+TIE = 0.5  # points of FIT
 WORSE = 1.2  # times the free run's error from which on a one-step prediction says that the predictor is wrong
 
 
@@ -42,3 +44,31 @@ def _useless(scores: Sequence[Score]) -> list[str]:
                 " its predictor is wrong"
             )
     return said
+
+
+def above_floor(results: Sequence[ScoredModel]) -> tuple[list[ScoredModel], list[str]]:
+    """The models, and a remark on each that runs worse than one or two poles with a dead time.
+
+    Such a floor is left out itself, with a remark, where it is no use and other models are.
+    """
+    floor = next((result for result in results if result.file == FLOOR), None)
+    others = [result for result in results if result is not floor]
+    if floor is None or not others:
+        return list(results), []
+    if floor.against and not all(result.against for result in others):
+        return others, [
+            f"note: {floor.model.name}: one or two poles with a dead time cannot follow these records: {floor.against[0]}"
+        ]
+    return list(results), [
+        f"warning: {result.model.name} runs worse than {floor.model.name}, one or two poles with a dead time"
+        f" (free-run FIT {_free_fit(result):.1f} and {_free_fit(floor):.1f}): take that, or give more records"
+        for result in others
+        if not result.against and not result.envelopes and _free_fit(result) < _free_fit(floor) - TIE
+    ]
+
+
+def _free_fit(result: ScoredModel) -> float:
+    """Mean free-run FIT on held-out records, of the estimation records where there are none; -inf without."""
+    free = [s for s in result.scores if s.horizon == "free-run"]
+    counted = [s.FIT for s in free if s.split == "held-out"] or [s.FIT for s in free]
+    return float(np.mean(counted)) if counted else -np.inf

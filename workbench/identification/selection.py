@@ -44,7 +44,7 @@ def choose(methods: Mapping[str, Method], dataset: Dataset, *, progress: Callabl
     A method that cannot be fitted is passed over with its reason. Raises InputError where none can, or where none runs better
     than the mean of what is held back: then the records cannot decide.
     """
-    kept, held_back = _blocks(dataset)
+    kept, held_back = parts(dataset)
     fit: dict[str, float] = {}
     failed: dict[str, str] = {}
     for name, method in methods.items():
@@ -67,7 +67,8 @@ def choose(methods: Mapping[str, Method], dataset: Dataset, *, progress: Callabl
     return Choice(best, methods[best].fit(dataset), fit, failed)
 
 
-def _blocks(dataset: Dataset) -> tuple[Dataset, Dataset]:
+def parts(dataset: Dataset) -> tuple[Dataset, Dataset]:
+    """The first, third and fifth part of every record, and the second and fourth."""
     kept, held_back = [], []
     for e in dataset:
         edges = np.linspace(0, len(e), BLOCKS + 1).astype(int)

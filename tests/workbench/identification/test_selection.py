@@ -47,7 +47,7 @@ def test_methods_are_judged_on_samples_they_have_not_seen():
 
 def test_a_method_that_cannot_be_fitted_is_passed_over():
     choice = choose({name: method() for name, method in METHODS.items() if name != "ssm"}, data())
-    assert choice.method == "lti"
+    assert choice.method in ("lti", "oe")
     assert "schedule" in choice.failed["ilm"]
     with pytest.raises(InputError, match="no method"):
         choose({"ilm": METHODS["ilm"]()}, data())

@@ -1,0 +1,64 @@
+"""Two poles and a dead time as the floor of an identification, and the criterion, by verb and by command."""
+
+import numpy as np
+import pytest
+
+import workbench as wb
+from studies.cli import main
+from workbench.data import Dataset, Experiment
+
+
+def lag(name: str, seed: int, N: int) -> Experiment:
+    """y+ = 0.97 y + 0.03 u (k - 2), read with noise."""
+    random = np.random.default_rng(seed)
+    u, y = np.repeat(random.choice([-1.0, 1.0], N // 15 + 1), 15)[:N], np.zeros(N)
+    for k in range(N - 1):
+        y[k + 1] = 0.97 * y[k] + 0.03 * u[max(k - 2, 0)]
+    return Experiment.from_arrays(name, 1.0, inputs={"u": u}, outputs={"y": y + 0.05 * random.normal(size=N)})
+
+
+def test_a_model_that_loses_to_the_floor_is_said_to_and_is_not_the_headline():
+    """Few noisy samples, and a model of far too many numbers."""
+    data, held_out = Dataset((lag("a", 1, 120),)), Dataset((lag("b", 2, 400),))
+    methods = {"ssm": wb.SSM(order=12, mu_factor=1.0001), "oe": wb.OutputError()}
+    found = wb.identify(data, held_out, methods=methods, criterion="prediction")
+    fits = {s.model: s.FIT for s in found.scores if (s.split, s.horizon) == ("held-out", "free-run")}
+    assert fits["OE"] > fits["SSM"] + 0.5
+    assert "held-out records. OE:" in found.sentences[0]
+    assert any("SSM runs worse than OE, one or two poles with a dead time" in remark for remark in found.remarks)
+
+
+def test_a_floor_that_cannot_follow_is_left_out_beside_a_model_that_can():
+    """A machine whose gain turns its sign with the schedule, mostly positive in one record and mostly negative in the other."""
+
+    def record(name: str, seed: int, mean: float) -> Experiment:
+        random, N = np.random.default_rng(seed), 800
+        u, y = np.repeat(random.choice([-1.0, 1.0], N // 8), 8), np.zeros(N)
+        p = mean + np.sin(0.03 * np.arange(N))
+        for k in range(N - 1):
+            y[k + 1] = 0.8 * y[k] + 0.2 * p[k] * u[k]
+        outputs = {"y": y + 0.01 * random.normal(size=N)}
+        return Experiment.from_arrays(name, 0.1, inputs={"u": u}, outputs=outputs, schedule={"p": p})
+
+    data, fresh = Dataset((record("a", 1, 0.6),)), Dataset((record("b", 2, -0.6),))
+    alone = wb.identify(data, fresh, methods=["oe"], accept=True)
+    assert "worse than the mean" in alone.results[0].against[0]
+    found = wb.identify(data, fresh, methods={"ssm": wb.SSM(order=1), "oe": wb.OutputError()})
+    assert [result.model.name for result in found.results] == ["SSM"]
+    assert found.model.name == "SSM"
+    assert any("cannot follow these records" in remark for remark in found.remarks)
+
+
+def test_the_command_takes_a_criterion_and_refuses_another(tmp_path, capsys):
+    paths = [str(wb.write_csv(lag(name, seed, 400), tmp_path / f"{name}.csv")) for seed, name in enumerate("ab")]
+    words = ["identify", paths[0], "--inputs", "u", "--output", "y", "--holdout", paths[1], "--model", "lti,oe", "--order", "3"]
+    assert main([*words, "--criterion", "simulation", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "refined by the error of its free runs" in said
+    assert "dead time from u to y: 2 s" in said
+    assert {path.name for path in (tmp_path / "out").glob("*.json")} >= {"lti.json", "oe.json", "scores.json"}
+    model = wb.load_model(tmp_path / "out" / "oe.json")
+    again = wb.read(paths[1], inputs="u", outputs="y").experiments[0]
+    assert np.sqrt(np.mean((model.simulate(again) - again[["y"]])[model.warmup :] ** 2)) == pytest.approx(0.05, rel=0.25)
+    assert main([*words, "--criterion", "simulatoin"]) == 2
+    assert "simulation" in capsys.readouterr().err

@@ -1,0 +1,226 @@
+"""Refinement of a model by the error of its free runs.
+
+    minimise over theta, x0   sum_k |W (y(k) - ys(k; theta, x0))|^2,    ys the free run of the whole record
+
+Gauss-Newton with the exact sensitivities of `passes`, a start x0 free for each record, damped where the records say little. A
+model that runs away, or nearly, is led there: first its one-step predictor is fitted, then a run that is corrected less and less.
+No step is taken to a model that is unstable anywhere in its span: records that do not go there would not tell.
+
+L. Ljung, "System Identification: Theory for the User", 2nd ed., 1999, sections 10.2 and 10.3.
+"""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.data import Dataset
+from workbench.identification.output_error.free_numbers import FreeNumbers, constant_gain, constant_weights
+from workbench.identification.output_error.passes import along
+from workbench.identification.output_error.spread import estimates
+from workbench.lpv import LPVModel
+from workbench.records import field, record
+
+SHARES = (1.0, 0.3, 0.05)  # of the predictor's gain, before the free run
+STEPS = 40
+ENOUGH = 1e-7  # share of the cost: a step that gains less is the last
+DAMPED = (1e-9, 1e-6, 1e-4, 1e-2, 1.0, 100.0)  # of the diagonal of the information
+UNKNOWN = (1e-8, 1e-6, 1e-4, 1e-2, 1.0, 100.0)  # shares of the states' variance that a predictor may follow
+BLOCKS = 20  # of a record, whose errors count as independent of each other
+GRID = 41  # schedule values at which a model must be stable
+FORGOTTEN = 0.01  # share of a start that is left after the predictor's warm-up
+LONGEST = 10  # of a record: the longest warm-up is one by this number
+
+
+@record
+class Piece:
+    """One record as the model reads it: deviations u (N, nu), outputs y (N, ny) as measured, weights w (N, nt), phi (N, m)."""
+
+    u: np.ndarray = field("N nu")
+    y: np.ndarray = field("N ny")
+    w: np.ndarray = field("N nt")
+    phi: np.ndarray = field("N m")
+
+
+class Runs:
+    """The records of a data set as a model reads them; its schedule and the zero of its inputs stay."""
+
+    def __init__(self, model: LPVModel, dataset: Dataset):
+        outputs = [c.name for c in model.outputs]
+        self.pieces = []
+        for e in dataset:
+            u, _, w = model.deviations(e)
+            phi = model.operating_point.basis(model.schedule_of(e))
+            self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (u, e[outputs], w, phi))))
+        spread = np.sqrt(np.mean([np.var(piece.y, axis=0) for piece in self.pieces], axis=0))
+        # what is slower than a record is long is an offset that drifts: it is not known, and its gain is any
+        self.slowest = float(np.exp(-1.0 / max(len(piece.y) for piece in self.pieces)))
+        self.block = max(min(len(piece.y) for piece in self.pieces) // BLOCKS, 1)
+        self.scale = np.where(spread > 0.0, spread, 1.0)
+
+    def begun(self, own: FreeNumbers, share: float) -> np.ndarray:
+        """Starts (R, nx) from which the runs of the model err least: what a start does is linear."""
+        still = np.zeros((len(self.pieces), own.model.order))
+        _, H, b = self.normal(FreeNumbers.nothing(own.model), still, share)
+        return np.stack([_solved(h, g.sum(axis=0), DAMPED[0]) for h, g in zip(H, b, strict=True)])
+
+    def cost(self, model: LPVModel, starts: np.ndarray, share: float) -> float:
+        """Sum of squares of all runs; inf where one is lost."""
+        none = FreeNumbers.nothing(model)
+        return sum(float(np.sum(self._run(none, i, x, share, slopes=False)[0] ** 2)) for i, x in enumerate(starts))
+
+    def normal(self, own: FreeNumbers, starts: np.ndarray, share: float) -> tuple[float, np.ndarray, list[np.ndarray]]:
+        """Sum of squares, and of every record J'J (R, n, n) and J'e (blocks, n); columns: free numbers, start."""
+        found = [self._run(own, i, x, share, slopes=True) for i, x in enumerate(starts)]
+        return sum(float(np.sum(e**2)) for e, _, _ in found), np.stack([H for _, H, _ in found]), [b for *_, b in found]
+
+    def _run(self, own: FreeNumbers, i: int, x: np.ndarray, share: float, *, slopes: bool):
+        piece, model, n = self.pieces[i], own.model, len(own.places) + own.model.order
+        e, H, b = np.zeros_like(piece.y), np.zeros((n, n)), np.zeros((-(-len(piece.y) // self.block), n))
+        assert model.predictor is not None
+        A, B, C, D, K, y0, w, phi, u, y = (
+            np.array(M, order="C")  # records are read-only
+            for M in (
+                model.A, model.B, model.C, model.D, model.predictor.K, model.operating_point.y,
+                piece.w, piece.phi, piece.u, piece.y,
+            )
+        )  # fmt: skip
+        along(A, B, C, D, K, y0, w, phi, u, y, share, self.scale, x.copy(), own.places, e, H, b, self.block, slopes)
+        return e, H, b
+
+
+def minimised(own: FreeNumbers, runs: Runs, share: float) -> FreeNumbers:
+    """The free numbers at which runs with this share of the predictor's gain err least, by way of where they stand."""
+    starts = runs.begun(own, share)
+    for _ in range(STEPS):
+        cost, H, b = runs.normal(own, starts, share)
+        if not np.isfinite(cost) or not np.isfinite(H).all():
+            break
+        better = _better(own, runs, share, starts, (cost, H, b))
+        if better is None:
+            break
+        own, starts, now = better
+        if now > (1.0 - ENOUGH) * cost:
+            break
+    return own
+
+
+def _better(own: FreeNumbers, runs: Runs, share: float, starts: np.ndarray, at) -> tuple[FreeNumbers, np.ndarray, float] | None:
+    """After the least damped of the steps that lower the cost and leave the model stable; None where none does."""
+    cost, H, b = at
+    P = len(own.places)
+    for damping in DAMPED:
+        theta, x0 = _step(H, b, P, damping)
+        moved = own.moved(own.values + theta)
+        if not (np.isfinite(theta).all() and np.isfinite(x0).all()) or not _allowed(moved.model, share, runs.slowest):
+            continue
+        now = runs.cost(moved.model, starts + x0, share)
+        if now < cost:
+            return moved, starts + x0, now
+    return None
+
+
+def _step(H: np.ndarray, blocks: list[np.ndarray], P: int, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """The step of the free numbers (P) and of the starts (R, nx): each record has its own start, which is eliminated."""
+    b = [own.sum(axis=0) for own in blocks]
+    starts = [h[P:, P:] + 1e-9 * np.diag(np.diag(h[P:, P:])) + 1e-300 * np.eye(len(h) - P) for h in H]
+    inner = [
+        np.linalg.lstsq(s, np.column_stack([h[P:, :P], g[P:]]), rcond=1e-12)[0] for s, h, g in zip(starts, H, b, strict=True)
+    ]
+    A, r = np.zeros((P, P)), np.zeros(P)
+    for h, g, x in zip(H, b, inner, strict=True):
+        A += h[:P, :P] - h[:P, P:] @ x[:, :P]
+        r += g[:P] - h[:P, P:] @ x[:, P]
+    theta = _solved(A, r, damping) if P else np.zeros(0)
+    return theta, np.stack([x[:, P] - x[:, :P] @ theta for x in inner])
+
+
+def _solved(A: np.ndarray, b: np.ndarray, damping: float) -> np.ndarray:
+    d = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    value, vector = np.linalg.eigh(A / np.outer(d, d))
+    return vector @ ((vector.T @ (b / d)) / (np.maximum(value, 0.0) + damping * max(value.max(), 1e-300))) / d
+
+
+def _allowed(model: LPVModel, share: float, slowest: float = 1.0) -> bool:
+    """Whether the poles of a run with this share of the predictor's gain are below `slowest` at every frozen schedule value."""
+    return bool(np.abs(np.linalg.eigvals(frozen(model, share))).max(initial=0.0) < slowest)
+
+
+def frozen(model: LPVModel, share: float) -> np.ndarray:
+    """A - share K C (GRID, nx, nx) at schedule values over the span that stand still."""
+    assert model.predictor is not None
+    phi = model.basis(np.linspace(model.span[0], model.span[1], GRID))[:, [term.function for term in model.terms]]
+    return np.tensordot(phi, (1.0 - share) * model.A + share * model.predictor.F, 1)
+
+
+def refined(model: LPVModel, dataset: Dataset) -> LPVModel:
+    """The model whose free runs along the records err least, with a predictor, noise and uncertainty of its own.
+
+    The model as it is where its basis holds no constant, or where no stable model is found.
+    """
+    if not np.isfinite(constant_weights(model)).all():
+        return model
+    runs, own = Runs(model, dataset), FreeNumbers.of(model)
+    own = own.moved(own.values)
+    for share in (0.0,) if _allowed(model, 0.0) else (*SHARES, 0.0):
+        own = minimised(own, runs, share)
+    if not _allowed(own.model, 0.0):
+        return model
+    _, H, blocks = runs.normal(own, runs.begun(own, 0.0), 0.0)
+    predicting = _with_predictor(own.model, runs)
+    return replace(predicting, noise=_noise(predicting, dataset), estimates=estimates(own, H, blocks))
+
+
+def work(model: LPVModel, dataset: Dataset) -> float:
+    """Multiplications of one pass with slopes along the records."""
+    n, P = model.order, len(FreeNumbers.of(model).places) + model.order
+    return float(sum(map(len, dataset))) * P * (n * n + len(model.outputs) * (n + P))
+
+
+def _noise(model: LPVModel, dataset: Dataset) -> np.ndarray:
+    """Covariance (ny, ny) of the one-step errors after the warm-up."""
+    names = [c.name for c in model.outputs]
+    e = np.concatenate([(own[names] - model.predict(own))[model.warmup :] for own in dataset])
+    return np.atleast_2d(e.T @ e) / max(len(e), 1)
+
+
+def _with_predictor(model: LPVModel, runs: Runs) -> LPVModel:
+    """The model with the constant gain K that predicts one step best, and a warm-up as long as it needs."""
+    tried = []
+    gain = FreeNumbers.of_gain(model)
+    for K in (constant_gain(model), *_kalman_gains(gain)):
+        start = gain.moved(K[gain.places[:, 2], gain.places[:, 3]])
+        if _allowed(start.model, 1.0):
+            tried.append((runs.cost(start.model, runs.begun(start, 1.0), 1.0), start))
+    model = minimised(min(tried, key=lambda pair: pair[0])[1], runs, 1.0).model
+    assert model.predictor is not None
+    return replace(model, predictor=replace(model.predictor, warmup=_warmup(model, runs), free_start=True))
+
+
+def _kalman_gains(gain: FreeNumbers) -> list[np.ndarray]:
+    """K (nx, ny) of Kalman filters in the middle of the span, by shares of what the states do that come from nowhere; and 0."""
+    from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
+
+    model = gain.model
+    A, B, C, _ = model.freeze(None if model.schedule is None else float(model.span.mean()))
+    found = [np.zeros((len(A), len(C)))]
+    with warnings.catch_warnings():  # what is inaccurate is a poor start: all of them are judged by their errors
+        warnings.simplefilter("ignore", LinAlgWarning)
+        P = solve_discrete_lyapunov(A, B @ B.T)
+        size = np.where(np.isin(np.arange(len(A)), gain.places[:, 2]), np.maximum(np.diag(P), 0.0), 0.0)
+        R = np.diag(np.diag(C @ P @ C.T))
+        for share in UNKNOWN:
+            try:
+                S = solve_discrete_are(A.T, C.T, np.diag(share * size), R)
+                found.append(np.linalg.solve(C @ S @ C.T + R, C @ S @ A.T).T)
+            except (np.linalg.LinAlgError, ValueError):  # too ill-conditioned for its solver
+                continue
+    return [K for K in found if np.isfinite(K).all()]
+
+
+def _warmup(model: LPVModel, runs: Runs) -> int:
+    """Samples after which the predictor has forgotten its start and what is slow has shown, if a record has them to spare."""
+    predictor, free = (float(np.abs(np.linalg.eigvals(frozen(model, share))).max(initial=0.0)) for share in (1.0, 0.0))
+    needed = max(np.log(FORGOTTEN) / np.log(predictor) if predictor > 0.0 else 0.0, -1.0 / np.log(free) if free > 0.0 else 0.0)
+    longest = min(len(piece.y) for piece in runs.pieces) // LONGEST
+    return int(np.clip(needed, model.order + 1, max(longest, model.order + 1)))
