@@ -252,6 +252,8 @@ def _clarabel_l2(Psi: np.ndarray, Y: np.ndarray, mu: float) -> _Pair:
         raise NotSolvedError(f"no theta keeps the bound {mu:g}: the smallest is {outside:g}")
     radius = np.sqrt((mu - outside) * (mu + outside))
     unit = max(radius, 1e-6 * mu)
+    if not unit > 0.0:
+        raise NotSolvedError("a bound of 0 leaves no cone")
     R = Q.T @ Psi / unit
     eye = sparse.identity(n)
     A = sparse.vstack(

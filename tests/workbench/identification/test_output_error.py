@@ -215,6 +215,26 @@ def test_wrong_options_are_refused():
         OutputError(order=3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("method", [OutputError(), LTI(), LTI(order=2), SSM(order=2)], ids=["oe", "lti", "lti-2", "ssm"])
+def test_no_finite_record_ends_in_an_error_of_the_program(method, seed):
+    """Short, huge, tiny, constant, stepping, drifting records: a model whose numbers are finite, or an InputError."""
+    random = np.random.default_rng(seed)
+    N, size = int(random.integers(25, 300)), 10.0 ** random.integers(-9, 10)
+    kinds = [
+        np.zeros(N), np.ones(N), np.cumsum(random.normal(size=N)), random.normal(size=N), (np.arange(N) == 7).astype(float),
+        1.1 ** np.arange(N), np.sign(np.sin(0.3 * np.arange(N))),
+    ]  # fmt: skip
+    u, y = (scale * kinds[random.integers(len(kinds))] for scale in (1.0, size))
+    data = Dataset((Experiment.from_arrays("r", 0.1, inputs={"u": u}, outputs={"y": y + 0.01 * size * u}),))
+    try:
+        model = ByCriterion(method, "simulation").fit(data)
+    except InputError:
+        return
+    assert all(np.isfinite(M).all() for M in (model.A, model.B, model.C, model.D, model.operating_point.y))
+
+
 @pytest.mark.skipif(not TANKS.is_dir(), reason="no measured records beside the checkout (../shared/data)")
 def test_tanks_run_with_every_method():
     """Cascaded tanks, slow and few: methods had 1.8 V and 5e11 V. A linear model is published with 0.59 V."""

@@ -22,6 +22,7 @@ TIMES = 14  # time constants of the grid, from a sample to a record
 DAMPINGS = (0.1, 0.3, 0.7)
 DELAYS = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40)  # samples
 LONGEST = 20  # of a record: the longest delay is one by this number
+FAR = 1.5  # of the least squares that were found
 POLISHED = 40  # poles that are tried near those of the grid
 SHORTEST, LARGEST = -7.0, 7.0  # of these logarithms
 HIGHEST = 3.0  # rad a sample, of a pair
@@ -71,8 +72,10 @@ class Output:
         """The guess, or the one with delay d of input i if that leaves less."""
         if d == guess.delays[i] or not 0 <= d <= max(self.delays):
             return guess
-        tried = self._polished(self.fitted(guess.poles, (*guess.delays[:i], d, *guess.delays[i + 1 :])))
-        return min(guess, tried, key=_squares)
+        tried = self.fitted(guess.poles, (*guess.delays[:i], d, *guess.delays[i + 1 :]))
+        if tried.squares > FAR * guess.squares:  # other poles nearby do not make up for that
+            return guess
+        return min(guess, self._polished(tried), key=_squares)
 
     def _polished(self, guess: Guess) -> Guess:
         """The guess with the poles nearby that leave least, from its own; a real one stays real."""

@@ -52,16 +52,18 @@ class Runs:
             u, _, w = model.deviations(e)
             phi = model.operating_point.basis(model.schedule_of(e))
             self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (u, e[outputs], w, phi))))
-        spread = np.sqrt(np.mean([np.var(piece.y, axis=0) for piece in self.pieces], axis=0))
+        spread = np.sqrt(np.mean([np.nanvar(piece.y, axis=0) for piece in self.pieces], axis=0))
         # what is slower than a record is long is an offset that drifts: it is not known, and its gain is any
         self.slowest = float(np.exp(-1.0 / max(len(piece.y) for piece in self.pieces)))
         self.block = max(min(len(piece.y) for piece in self.pieces) // BLOCKS, 1)
         self.scale = np.where(spread > 0.0, spread, 1.0)
 
     def begun(self, own: FreeNumbers, share: float) -> np.ndarray:
-        """Starts (R, nx) from which the runs of the model err least: what a start does is linear."""
+        """Starts (R, nx) from which the runs of the model err least: what a start does is linear; 0 where a run is lost."""
         still = np.zeros((len(self.pieces), own.model.order))
-        _, H, b = self.normal(FreeNumbers.nothing(own.model), still, share)
+        cost, H, b = self.normal(FreeNumbers.nothing(own.model), still, share)
+        if not (np.isfinite(cost) and np.isfinite(H).all()):
+            return still
         return np.stack([_solved(h, g.sum(axis=0), DAMPED[0]) for h, g in zip(H, b, strict=True)])
 
     def cost(self, model: LPVModel, starts: np.ndarray, share: float) -> float:
@@ -166,7 +168,9 @@ def refined(model: LPVModel, dataset: Dataset) -> LPVModel:
         own = minimised(own, runs, share)
     if not _allowed(own.model, 0.0):
         return model
-    _, H, blocks = runs.normal(own, runs.begun(own, 0.0), 0.0)
+    cost, H, blocks = runs.normal(own, runs.begun(own, 0.0), 0.0)
+    if not (np.isfinite(cost) and np.isfinite(H).all()):
+        return model
     predicting = _with_predictor(own.model, runs)
     return replace(predicting, noise=_noise(predicting, dataset), estimates=estimates(own, H, blocks))
 
@@ -205,8 +209,12 @@ def _kalman_gains(gain: FreeNumbers) -> list[np.ndarray]:
     A, B, C, _ = model.freeze(None if model.schedule is None else float(model.span.mean()))
     found = [np.zeros((len(A), len(C)))]
     with warnings.catch_warnings():  # what is inaccurate is a poor start: all of them are judged by their errors
-        warnings.simplefilter("ignore", LinAlgWarning)
-        P = solve_discrete_lyapunov(A, B @ B.T)
+        for kind in (LinAlgWarning, RuntimeWarning):
+            warnings.simplefilter("ignore", kind)
+        try:
+            P = solve_discrete_lyapunov(A, B @ B.T)
+        except np.linalg.LinAlgError:
+            return found
         size = np.where(np.isin(np.arange(len(A)), gain.places[:, 2]), np.maximum(np.diag(P), 0.0), 0.0)
         R = np.diag(np.diag(C @ P @ C.T))
         for share in UNKNOWN:
