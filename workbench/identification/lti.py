@@ -18,6 +18,7 @@ from workbench.metrics import score
 from workbench.records import field, record
 
 #: A smaller model is preferred while its free-run FIT is within this many points of the best.
+RUNS_AWAY = -1e3  # FIT [%]: a number below says no more than that
 TIE = 0.5
 
 
@@ -127,7 +128,9 @@ def _order_note(chosen: Subspace, tried: Sequence[Candidate]) -> tuple[str, ...]
     above = int(np.sum(chosen.singular_values > chosen.noise_level))
     text = f"order {chosen.order}; {above} singular values stand above the noise"
     if tried:
-        text += "; free-run FIT on the estimation records by order: " + ", ".join(f"{c.order}: {c.FIT:.1f}" for c in tried)
+        text += "; free-run FIT on the estimation records by order: " + ", ".join(
+            f"{c.order}: {c.FIT:.1f}" if c.FIT > RUNS_AWAY else f"{c.order}: runs away" for c in tried
+        )
     return (text,)
 
 
