@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from workbench.data import JITTER, Channel, Dataset, Experiment, bad_stamps
+from workbench.data import JITTER, Channel, Dataset, Experiment, Role, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.records import field, record
 
@@ -295,9 +295,9 @@ def _noise(values: np.ndarray) -> float:
     return float(np.median(np.abs(np.diff(values, 2))) / (0.6745 * math.sqrt(6))) if len(values) > 4 else 0.0
 
 
-def _of(experiment: Experiment, *roles: str) -> Iterator[tuple[Channel, np.ndarray]]:
+def _of(experiment: Experiment, *roles: Role) -> Iterator[tuple[Channel, np.ndarray]]:
     for channel in experiment.channels:
-        if channel.role in roles:
+        if channel.has_role(*roles):
             yield channel, experiment[channel.name]
 
 
@@ -318,7 +318,7 @@ def _jitter(experiment: Experiment) -> Iterator[Advice]:
 def _constant(experiment: Experiment) -> Iterator[Advice]:
     for channel, x in _of(experiment, "input", "output", "schedule", "reference", "other"):
         if len(x) and np.ptp(x) == 0:
-            severity = "warning" if channel.role in ("input", "output", "schedule") else "note"
+            severity = "warning" if channel.has_role("input", "output", "schedule") else "note"
             sentence = f"is constant at {x[0]:g}: nothing can be learned from it; was it connected?"
             yield Advice("constant", experiment.name, channel.name, sentence, severity)
 
@@ -415,7 +415,7 @@ def _schedule_span(dataset: Dataset) -> Iterator[Advice]:
     """The range that a scheduling variable covers over all records: a model says nothing outside it."""
     first = dataset.experiments[0]
     for channel in first.channels:
-        if channel.role != "schedule":
+        if not channel.has_role("schedule"):
             continue
         low = min(float(e[channel.name].min()) for e in dataset)
         high = max(float(e[channel.name].max()) for e in dataset)

@@ -8,7 +8,7 @@ import dataclasses
 import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -21,7 +21,9 @@ SAME_DT = 1e-3
 #: Samples on either side of an extreme value that tell one measurement from another.
 FINGER = 64
 
-Role = Literal["time", "input", "output", "schedule", "reference", "other"]
+Role = Literal["time", "input", "output", "schedule", "scheduled output", "reference", "other"]
+#: Of an output that is the schedule as well: it counts as either.
+SCHEDULED_OUTPUT: Role = "scheduled output"
 
 #: A step of time longer than this many sample times is a gap.
 GAP = 1.5
@@ -33,7 +35,7 @@ JITTER = 0.01
 class Channel:
     """A named column with its unit (SI unless it says otherwise) and its role.
 
-    role: time, input, output, schedule, reference or other.
+    role: time, input, output, schedule, scheduled output (an output that is the schedule as well), reference or other.
 
         >>> Channel("n", "rad/s", "output")
         Channel(name='n', unit='rad/s', role='output')
@@ -45,6 +47,14 @@ class Channel:
 
     def __post_init__(self):
         check_known("role", self.role, get_args(Role))
+
+    def has_role(self, *roles: Role) -> bool:
+        """Whether its role is one of these; a scheduled output is an output and a schedule.
+
+        >>> Channel("level", "m", "scheduled output").has_role("output")
+        True
+        """
+        return any(role in (("output", "schedule") if self.role == SCHEDULED_OUTPUT else (self.role,)) for role in roles)
 
     def __str__(self) -> str:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
@@ -99,16 +109,18 @@ class Experiment:
     ) -> "Experiment":
         """A record from arrays (N,) by channel name, roles by keyword, units by channel name.
 
+        An output that is the schedule as well is given under both keywords, with the same numbers.
         dt [s]: t[k] = k dt; or t (N,) [s]: the time stamps. One of the two. Raises InputError for both or neither, arrays of
         different lengths, numbers that are not finite, units of unknown channels.
         """
         if (dt is None) is (t is None):
             raise InputError("both dt and t" if t is not None else "neither dt nor t", file=name, mend="give one of the two")
-        units = units or {}
+        units, outputs, schedule = units or {}, outputs or {}, schedule or {}
+        both = _given_twice(name, outputs, schedule)
         columns = [
             *_columns("input", inputs, units),
-            *_columns("output", outputs, units),
-            *_columns("schedule", schedule, units),
+            *_columns("output", outputs, units, both),
+            *_columns("schedule", {key: x for key, x in schedule.items() if key not in both}, units),
             *_columns("reference", references, units),
             *_columns("other", other, units),
         ]
@@ -148,8 +160,8 @@ class Experiment:
         return tuple(channel.name for channel in self.channels)
 
     def names_of(self, role: Role) -> tuple[str, ...]:
-        """Names of the channels with a role, in column order."""
-        return tuple(channel.name for channel in self.channels if channel.role == role)
+        """Names of the channels with a role, in column order; a scheduled output is among the outputs and the schedules."""
+        return tuple(channel.name for channel in self.channels if channel.has_role(role))
 
     def __getitem__(self, names: str | Sequence[str]) -> np.ndarray:
         """Column(s) by name: a string gives (N,), a sequence of k names (N, k)."""
@@ -183,7 +195,8 @@ class Experiment:
         """The same record with roles as named.
 
         A role that is named here belongs to these channels only: who held it before becomes "other". A role that is
-        not named stays as it was. Raises InputError for unknown names (with the nearest match) and two roles at once.
+        not named stays as it was. A channel may be output and schedule, as a level or an angle is that the machine's own
+        gains depend on. Raises InputError for unknown names (with the nearest match) and other pairs of roles.
         """
         asked: tuple[tuple[Role, Sequence[str]], ...] = (
             ("input", inputs),
@@ -194,13 +207,17 @@ class Experiment:
         for role, names in asked:
             for name in [names] if isinstance(names, str) else names:
                 check_known("channel", name, self.names, file=self.name)
-                if new.setdefault(name, role) != role:
-                    raise InputError(f"is named as {new[name]} and as {role}", file=self.name, channel=name, mend="name it once")
-        taken = set(new.values())
-        channels = tuple(
-            dataclasses.replace(c, role=new.get(c.name, "other" if c.role in taken else c.role)) for c in self.channels
-        )
+                new[name] = self._joined(name, new.get(name, role), role)
+        taken: list[Role] = [role for role, names in asked if names]
+        channels = tuple(dataclasses.replace(c, role=new.get(c.name) or _left(c, taken)) for c in self.channels)
         return dataclasses.replace(self, channels=channels)
+
+    def _joined(self, name: str, before: Role, role: Role) -> Role:
+        """The role of a channel that is named for two."""
+        if before != role and (before, role) != ("output", "schedule"):
+            mend = "name it once: only an output may be the schedule as well"
+            raise InputError(f"is named as {before} and as {role}", file=self.name, channel=name, mend=mend)
+        return role if before == role else SCHEDULED_OUTPUT
 
     def select(self, names: Sequence[str]) -> "Experiment":
         """The same record with these channels only, in this order."""
@@ -330,7 +347,7 @@ class Dataset:
 def check_held_out(estimation: Dataset, held_out: Dataset) -> None:
     """Refuse held-out records that are estimation records under another name or role, or whose units do not fit them."""
     first = estimation.experiments[0]
-    used = [c.name for c in first.channels if c.role in ("input", "output", "schedule")]
+    used = [c.name for c in first.channels if c.has_role("input", "output", "schedule")]
     known = {e.fingerprint: e.name for e in estimation}
     for e in held_out:
         if e.fingerprint in known:
@@ -385,8 +402,31 @@ def bad_stamps(t: np.ndarray, dt: float) -> Iterator[BadStamp]:
         yield BadStamp(fault, int(k) + 1, t[k], t[k + 1])
 
 
-def _columns(role: Role, group: Mapping[str, np.ndarray] | None, units: Mapping[str, str]) -> list[tuple[Channel, np.ndarray]]:
-    return [(Channel(name, units.get(name, ""), role), np.asarray(x, float)) for name, x in (group or {}).items()]
+def _columns(
+    role: Role, group: Mapping[str, np.ndarray] | None, units: Mapping[str, str], scheduled: Collection[str] = ()
+) -> list[tuple[Channel, np.ndarray]]:
+    return [
+        (Channel(name, units.get(name, ""), SCHEDULED_OUTPUT if name in scheduled else role), np.asarray(x, float))
+        for name, x in (group or {}).items()
+    ]
+
+
+def _given_twice(name: str, outputs: Mapping[str, np.ndarray], schedule: Mapping[str, np.ndarray]) -> set[str]:
+    """The channels that are output and schedule. Raises InputError where the two columns of one name differ."""
+    both = set(outputs) & set(schedule)
+    for key in sorted(both):
+        if not np.array_equal(outputs[key], schedule[key]):
+            mend = "give the same numbers twice, or another name"
+            raise InputError("is output and schedule with other numbers", file=name, channel=key, mend=mend)
+    return both
+
+
+def _left(channel: Channel, taken: Sequence[Role]) -> Role:
+    """The role of a channel after these roles have gone to others."""
+    if channel.role == SCHEDULED_OUTPUT:
+        rest: list[Role] = [role for role in ("output", "schedule") if role not in taken]
+        return SCHEDULED_OUTPUT if len(rest) == 2 else rest[0] if rest else "other"
+    return "other" if channel.role in taken else channel.role
 
 
 def _check_finite(name: str, names: Sequence[str], values: np.ndarray) -> None:

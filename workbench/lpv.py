@@ -5,7 +5,8 @@
     M(k)   = sum_j M_j phi_j(rho(k - d_j))        for M in A, B, C, D, and the predictor's F, G, K
 
 LTI is one constant term. ILM has block-diagonal A and C weighted by activation functions. SSM uses delayed values of
-the schedule, so a term is a basis function together with a delay d_j >= 0 in samples.
+the schedule, so a term is a basis function together with a delay d_j >= 0 in samples. A schedule that is one of the outputs
+is known after the output equation only: `workbench.quasi_lpv` says which value each equation reads then.
 """
 
 import itertools
@@ -15,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.data import SAME_DT, Channel, Experiment
+from workbench.data import SAME_DT, SCHEDULED_OUTPUT, Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
+from workbench.quasi_lpv import linearised, predicted, simulated
 from workbench.records import field, record
 
 if TYPE_CHECKING:
@@ -49,6 +51,10 @@ class Powers:
     def functions(self, rho) -> list:
         """phi_j at a number, an array or a CasADi symbol."""
         return [(rho / self.scale) ** float(e) for e in self.exponents]
+
+    def slopes(self, rho: float) -> list:
+        """d phi_j / d rho."""
+        return [e / self.scale * (rho / self.scale) ** (e - 1.0) if e else 0.0 for e in self.exponents.tolist()]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -86,6 +92,13 @@ class Gaussian:
             weights = [np.exp(e) for e in exponents]
         return [*weights, *([0.0 * rho + 1.0] if self.with_constant else [])]
 
+    def slopes(self, rho: float) -> list:
+        """d phi_j / d rho."""
+        weights = self.functions(rho)[: len(self.centres)]
+        rates = [-2.0 * b * (rho - c) for c, b in zip(self.centres, self.beta, strict=True)]
+        common = sum(w * r for w, r in zip(weights, rates, strict=True)) if self.normalised else 0.0
+        return [*(w * (r - common) for w, r in zip(weights, rates, strict=True)), *([0.0] if self.with_constant else [])]
+
     @property
     def names(self) -> tuple[str, ...]:
         return (*(f"g({c:.4g})" for c in self.centres), *(("1",) if self.with_constant else ()))
@@ -111,6 +124,12 @@ class PiecewiseLinear:
     def functions(self, rho) -> list:
         """phi_j at a number, an array or a CasADi symbol."""
         return hats(rho, self.knots)
+
+    def slopes(self, rho: float) -> list:
+        """d phi_j / d rho; at a knot towards larger values, at the last one from smaller ones."""
+        j = int(np.clip(np.searchsorted(self.knots, rho, side="right"), 1, len(self.knots) - 1))
+        rise = 1.0 / (self.knots[j] - self.knots[j - 1]) if self.knots[0] <= rho <= self.knots[-1] else 0.0
+        return [-rise if i == j - 1 else rise if i == j else 0.0 for i in range(len(self.knots))]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -180,10 +199,15 @@ class Estimate:
 
 @record
 class Stability:
-    """Largest spectral radius of the frozen A over the schedule range, and the schedule value where it occurs."""
+    """Largest spectral radius of A over the schedule range, and the schedule value where it occurs.
+
+    Of the frozen A; where the schedule is an output, of the linearisations about the equilibria. unknown: schedule values of
+    the grid without an equilibrium; where there is none at all the radius is NaN, and nothing is known to be stable.
+    """
 
     radius: float
     at: float
+    unknown: tuple[float, ...] = ()
 
     @property
     def stable(self) -> bool:
@@ -196,6 +220,8 @@ class LPVModel:
 
     Shapes: A (nt, nx, nx), B (nt, nx, nu), C (nt, ny, nx), D (nt, ny, nu), one slice per term. `span` is the schedule
     range [low, high] of the estimation records; outside it the model holds the edge value of its basis functions.
+    A schedule with the role "scheduled output" is the output of its name: free runs and predictions schedule themselves from
+    where measurements end, and `to_control` and `stability` are of the true linearisation; see `workbench.quasi_lpv`.
 
         >>> model.to_control(0.0).poles().round(3), model.to_control(10.0).poles().round(3)
         (array([0.94+0.j]), array([0.885+0.j]))
@@ -230,6 +256,9 @@ class LPVModel:
             raise InputError(f"{len(self.terms)} terms for {self.A.shape[0]} matrices", file=self.name)
         if len(self.inputs) != self.B.shape[2] or len(self.outputs) != self.C.shape[1]:
             raise InputError("channel lists do not match B and C", file=self.name)
+        if self.schedule and self.schedule.role == SCHEDULED_OUTPUT and self.schedule.name not in [c.name for c in self.outputs]:
+            mend = "name it among the outputs, or give it the role schedule"
+            raise InputError("is a scheduled output and no output", file=self.name, channel=self.schedule.name, mend=mend)
 
     @property
     def warmup(self) -> int:
@@ -242,6 +271,13 @@ class LPVModel:
 
     # ---- the schedule -------------------------------------------------------------------------------------------
 
+    @property
+    def scheduled_output(self) -> int | None:
+        """Which output the schedule is by its role; None for a schedule from outside."""
+        if self.schedule is None or self.schedule.role != SCHEDULED_OUTPUT:
+            return None
+        return [c.name for c in self.outputs].index(self.schedule.name)
+
     def schedule_of(self, experiment: Experiment) -> np.ndarray:
         """rho(k), (N,), clipped to the model's span; zeros for a model without schedule."""
         if self.schedule is None:
@@ -253,15 +289,16 @@ class LPVModel:
         width = (self.span[1] - self.span[0]) or 1.0
         return float(np.max(np.maximum(self.span[0] - rho, rho - self.span[1]), initial=0.0) / width)
 
-    def weights(self, rho: np.ndarray) -> np.ndarray:
-        """phi_j(rho(k - d_j)), (N, nt); before the first sample the schedule holds its first value."""
+    def weights(self, rho: np.ndarray, newest: int = 0) -> np.ndarray:
+        """phi_j(rho(k - d_j)), (N, nt), no delay below `newest`; before the first sample the schedule holds its first value."""
         phi = self.basis(rho)
-        index = np.arange(len(rho))
-        return np.stack([phi[np.maximum(index - term.delay, 0), term.function] for term in self.terms], axis=-1)
+        late = np.arange(len(rho))[:, None] - np.maximum([term.delay for term in self.terms], newest)
+        return phi[np.maximum(late, 0), [term.function for term in self.terms]]
 
     def freeze(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C, D at a constant schedule value; a model without schedule needs none.
 
+        Where the schedule is an output these leave out what it answers to the state: `linearise` has that.
         Raises InputError outside the span of the estimation records: nobody knows the machine there.
         """
         if self.schedule is None:
@@ -276,12 +313,24 @@ class LPVModel:
         weight = self.weights(np.array([np.clip(rho, *self.span)]))[0]
         return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
 
-    def to_control(self, rho: float | None = None) -> "control.StateSpace":
-        """The frozen model as a discrete python-control system with our channel names."""
+    def linearise(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C, D of small motions at a schedule value: those of `freeze`, or where the schedule is an output those about the
+        equilibrium at which that output is rho.
+
+        Raises InputError outside the span of the estimation records, and where there is no equilibrium.
+        """
+        frozen = self.freeze(rho)
+        return frozen if self.scheduled_output is None or rho is None else linearised(self, rho)
+
+    def to_control(self, rho: float | None = None, *, frozen: bool = False) -> "control.StateSpace":
+        """Small motions at a schedule value as a discrete python-control system with our channel names; see `linearise`.
+
+        frozen: with a schedule that stands still even where it is an output.
+        """
         import control  # takes a second to import, and only this needs it
 
         return control.StateSpace(
-            *self.freeze(rho),
+            *(self.freeze(rho) if frozen else self.linearise(rho)),
             self.dt,
             name=(self.name if self.schedule is None else f"{self.name} at {rho:g}").replace(".", "_"),  # it refuses dots
             inputs=[c.name for c in self.inputs],
@@ -289,24 +338,32 @@ class LPVModel:
         )
 
     def stability(self, points: int = 101) -> Stability:
-        """Spectral radius of the frozen A on a grid over the span."""
-        grid = np.linspace(self.span[0], self.span[1], points)
-        radii = [np.abs(np.linalg.eigvals(self.freeze(rho)[0])).max(initial=0.0) for rho in grid]
-        return Stability(float(np.max(radii)), float(grid[np.argmax(radii)]))
+        """Spectral radius of A on a grid over the span; see `Stability`."""
+        found, unknown = {}, []
+        for rho in np.linspace(self.span[0], self.span[1], points).tolist():
+            try:
+                found[rho] = float(np.abs(np.linalg.eigvals(self.linearise(rho)[0])).max(initial=0.0))
+            except InputError:  # no equilibrium
+                unknown.append(rho)
+        worst = max(found, key=lambda rho: found[rho], default=np.nan)
+        return Stability(found.get(worst, np.nan), worst, tuple(unknown))
 
     # ---- simulation and prediction -----------------------------------------------------------------------------------
 
     def simulate(self, experiment: Experiment, *, warmup: int | None = None) -> np.ndarray:
         """Free run: the outputs (N, ny) from the measured inputs and schedule alone.
 
+        A schedule that is an output is the model's own from where the measured ones end, so that none of them leaks in.
         The initial state comes from the first `warmup` samples: the predictor follows the measured outputs for so long
         and is then cut off. Rows before that are predictions, not simulation; score only rows from `warmup` on.
         Default: the predictor's own memory; 0 starts from the operating point.
         """
-        u, y, weight = self.deviations(experiment)
+        u, y, weight, seen = self.deviations(experiment)
         n = self.warmup if warmup is None else warmup
         free = self.predictor is not None and self.predictor.free_start
-        x = self._states(u[:n], y[:n], weight[:n], n, free=free)
+        x = self._states(u[:n], y[:n], weight[:n], seen[:n], free=free)
+        if self.scheduled_output is not None:
+            return simulated(self, experiment, x)
         out = np.empty((len(u), len(self.outputs)))
         state = x[-1]
         for k0, A, B, C, D in self._slices(weight, self.A, self.B, self.C, self.D):
@@ -322,11 +379,14 @@ class LPVModel:
     def predict(self, experiment: Experiment, steps: int = 1) -> np.ndarray:
         """y(k | k - steps): from the predictor's state at k - steps + 1 and the inputs since; (N, ny).
 
-        steps = 1 uses the measured outputs up to k - 1. No prediction starts before the predictor's warm-up is over: the
-        steps - 1 rows after it look ahead less far, and the rows within it are one-step predictions of a cold predictor.
+        steps = 1 uses the measured outputs up to k - 1. So does a schedule that is an output, and after them it is the model's
+        own. No prediction starts before the predictor's warm-up is over: the steps - 1 rows after it look ahead less far, and
+        the rows within it are one-step predictions of a cold predictor.
         """
-        u, y, weight = self.deviations(experiment)
-        states = self._states(u, y, weight, self.warmup)[:-1]
+        u, y, weight, seen = self.deviations(experiment)
+        states = self._states(u, y, weight, seen[: self.warmup])[:-1]
+        if self.scheduled_output is not None:
+            return predicted(self, experiment, states, steps)
         N, first = len(u), self.warmup
         out = np.empty((N, len(self.outputs)))
         for begin in range(0, N, CHUNK):
@@ -344,19 +404,23 @@ class LPVModel:
                 x = np.einsum("kzx,kx->kz", A[at], x) + np.einsum("kzu,ku->kz", B[at], u[begin + at])
         return out + self._output_offset(experiment)
 
-    def deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """u (N, nu) and y (N, ny) of a record without their operating point, and the weights (N, nt) of the terms."""
+    def deviations(self, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """u (N, nu) and y (N, ny) of a record without their operating point, and the weights (N, nt) of the terms.
+
+        Twice: in the state and in the output equation, which reads a schedule that is an output one sample later.
+        """
         if abs(experiment.dt - self.dt) > SAME_DT * self.dt:
             raise InputError(
                 f"sample time {experiment.dt:g} s, the model has {self.dt:g} s",
                 file=experiment.name,
                 mend="resample the record",
             )
-        rho = self.schedule_of(experiment)
+        rho, late = self.schedule_of(experiment), 0 if self.scheduled_output is None else 1
         phi = self.operating_point.basis(rho)
         u = experiment[[c.name for c in self.inputs]] - phi @ self.operating_point.u
-        y = experiment[[c.name for c in self.outputs]] - phi @ self.operating_point.y
-        return u, y, self.weights(rho)
+        y = experiment[[c.name for c in self.outputs]] - phi[np.maximum(np.arange(len(rho)) - late, 0)] @ self.operating_point.y
+        weight = self.weights(rho)
+        return u, y, weight, self.weights(rho, newest=1) if late else weight
 
     def _output_offset(self, experiment: Experiment) -> np.ndarray:
         return self.operating_point.basis(self.schedule_of(experiment)) @ self.operating_point.y
@@ -367,10 +431,11 @@ class LPVModel:
             w = weight[k0 : k0 + CHUNK]
             yield k0, *(np.tensordot(w, M, 1) for M in matrices)
 
-    def _states(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray, first: int, *, free: bool = False) -> np.ndarray:
+    def _states(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray, *, free: bool = False) -> np.ndarray:
         """States (N + 1, nx) of the one-step predictor, row k has seen y(0..k-1); free: of a free run.
 
-        From the start under which it errs least on the first samples; from zero where these suffice to forget it.
+        From the start under which it errs least on the first samples, whose weights in the output equation are `seen` (n, nt);
+        from zero where these suffice to forget it.
         """
         own = self.predictor
         if own is None:
@@ -379,7 +444,8 @@ class LPVModel:
             return np.zeros((1, self.order))
         F, G, K = (self.A, self.B, np.zeros_like(own.K)) if free else (own.F, own.G, own.K)
         x = self._led(F, G, K, u, y, weight, np.zeros(self.order))
-        start = self._start(F, u[:first], y[:first], weight[:first], x[:first])
+        first = len(seen)
+        start = self._start(F, u[:first], y[:first], weight[:first], seen, x[:first])
         return x if start is None else self._led(F, G, K, u, y, weight, start)
 
     def _led(self, F, G, K, u: np.ndarray, y: np.ndarray, weight: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -392,7 +458,7 @@ class LPVModel:
                 x[k + 1] = A[i] @ x[k] + B[i] @ u[k] + L[i] @ y[k]
         return x
 
-    def _start(self, F, u: np.ndarray, y: np.ndarray, weight: np.ndarray, x: np.ndarray) -> np.ndarray | None:
+    def _start(self, F, u: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray, x: np.ndarray) -> np.ndarray | None:
         """The start that lowers the errors most of a run x (n, nx) that began at zero.
 
         None where the run has forgotten it, or where so few samples tell more of the noise than of a start.
@@ -403,7 +469,7 @@ class LPVModel:
                 left.append(step @ left[-1])
         if y.size < TOLD * self.order or np.abs(left[-1]).max(initial=0.0) <= FORGOTTEN:
             return None
-        C, D = np.tensordot(weight, self.C, 1), np.tensordot(weight, self.D, 1)
+        C, D = np.tensordot(seen, self.C, 1), np.tensordot(seen, self.D, 1)
         e = y - np.einsum("kyx,kx->ky", C, x) - np.einsum("kyu,ku->ky", D, u)
         return np.linalg.lstsq(np.concatenate(C @ np.stack(left[:-1])), e.ravel(), rcond=KNOWN)[0]
 
@@ -453,6 +519,16 @@ def check_no_feedthrough(model: LPVModel) -> None:
     if np.any(model.D):
         mend = "workbench identify --no-feedthrough: a held command cannot do that"
         raise InputError("its outputs see the command of their own sample", file=model.name, mend=mend)
+
+
+def check_schedule_from_outside(model: LPVModel, task: str) -> None:
+    """Refuse a model whose schedule is an output for a task that would take its frozen matrices, or a signal from outside."""
+    if model.scheduled_output is not None and model.schedule is not None:
+        raise InputError(
+            f"{model.schedule.name} is schedule and output of this model, and {task} takes a schedule for a signal from outside",
+            file=model.name,
+            mend="identify with --schedule none, or with another schedule; to_control(rho) has the linearisation about a point",
+        )
 
 
 def load_model(path) -> LPVModel:

@@ -48,13 +48,16 @@ class ByCriterion:
             return model
         better = refined(model, dataset)
         if better is model:
-            return model if self.criterion == "best" else _noted(model, "not refined: no stable model with free runs was found")
+            why = "no stable model with free runs was found"
+            if model.scheduled_output is not None:
+                why = "these runs follow a schedule that is given, and its schedule is an output"
+            return model if self.criterion == "best" else _noted(model, f"not refined: {why}")
         return _noted(better, "refined by the error of its free runs")
 
 
 def _pays(model: LPVModel, dataset: Dataset) -> bool:
     """Whether a refinement on parts of the records makes free runs better on those between them."""
-    if work(model, dataset) > MOST:
+    if model.scheduled_output is not None or work(model, dataset) > MOST:
         return False
     seen, unseen = parts(dataset)
     if min(map(len, unseen)) < 2 * model.warmup + 2:

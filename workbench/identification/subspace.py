@@ -179,8 +179,11 @@ def samples_needed(past: int, signals: int) -> int:
 
 
 def channels_of(experiment: Experiment) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    """Inputs and outputs of a record, by role; refused where there are none."""
-    inputs, outputs = (tuple(experiment.channel(n) for n in experiment.names_of(r)) for r in ("input", "output"))
+    """Inputs and outputs of a record, by role; refused where there are none. An output that is the schedule is an output here."""
+    inputs, outputs = (
+        tuple(dataclasses.replace(experiment.channel(n), role=role) for n in experiment.names_of(role))
+        for role in ("input", "output")
+    )
     for name, found in (("inputs", inputs), ("outputs", outputs)):
         if not found:
             raise InputError(f"no {name}", file=experiment.name, mend=f"name them: with_roles({name}=[...])")

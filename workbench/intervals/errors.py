@@ -94,7 +94,7 @@ def one_step_errors(model: LPVModel, experiment: Experiment) -> Experiment:
         raise InputError(f"{bad.fault} stamp at {bad.before:g} s", file=experiment.name, mend="cut the record there with trim")
     if len(experiment) <= model.warmup + 1:
         raise InputError(f"{len(experiment)} samples, the model warms up for {model.warmup}", file=experiment.name)
-    u, y, _ = model.deviations(experiment)
+    u, y, *_ = model.deviations(experiment)
     e = experiment[[c.name for c in model.outputs]] - model.predict(experiment)
     channels = (
         *(Channel(c.name, c.unit, "input") for c in (*model.outputs, *model.inputs)),

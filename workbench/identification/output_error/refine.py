@@ -49,7 +49,7 @@ class Runs:
         outputs = [c.name for c in model.outputs]
         self.pieces = []
         for e in dataset:
-            u, _, w = model.deviations(e)
+            u, _, w, _ = model.deviations(e)
             phi = model.operating_point.basis(model.schedule_of(e))
             self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (u, e[outputs], w, phi))))
         spread = np.sqrt(np.mean([np.nanvar(piece.y, axis=0) for piece in self.pieces], axis=0))
@@ -158,9 +158,10 @@ def frozen(model: LPVModel, share: float) -> np.ndarray:
 def refined(model: LPVModel, dataset: Dataset) -> LPVModel:
     """The model whose free runs along the records err least, with a predictor, noise and uncertainty of its own.
 
-    The model as it is where its basis holds no constant, or where no stable model is found.
+    The model as it is where its basis holds no constant, where its schedule is an output (these runs follow a given schedule), or
+    where no stable model is found.
     """
-    if not np.isfinite(constant_weights(model)).all():
+    if model.scheduled_output is not None or not np.isfinite(constant_weights(model)).all():
         return model
     runs, own = Runs(model, dataset), FreeNumbers.of(model)
     own = own.moved(own.values)
