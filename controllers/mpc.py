@@ -40,7 +40,7 @@ from controllers.scheduled_pid import ScheduledPID
 from controllers.tube import Tube, design_tube, predictor_observer
 from workbench.errors import InputError
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel, model_from_dict
+from workbench.lpv import LPVModel, check_schedule_from_outside, model_from_dict
 from workbench.records import field, record
 
 KIND = "mpc"
@@ -106,6 +106,7 @@ class MPC(Receding):
     tube: Tube | None = None
 
     def __post_init__(self):
+        check_schedule_from_outside(self.model, "an MPC")
         self.check(self.actuated, self.measured)
         if self.fallback.schedule not in (None, self.schedule):
             raise InputError(

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from workbench.errors import InputError
-from workbench.lpv import LPVModel, check_no_feedthrough
+from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
 from workbench.records import field, record
 
 
@@ -68,6 +68,7 @@ def design_observer(model: LPVModel, *, at_inputs: bool | None = None, drift: fl
     if model.predictor is None or model.noise is None:
         raise InputError("no predictor and no noise in this model", file=model.name, mend="identify it from records")
     check_no_feedthrough(model)
+    check_schedule_from_outside(model, "an observer")
     if not drift > 0.0:
         raise InputError(f"drift {drift:g}", mend="a disturbance that never moves is never found: give a number above 0")
     ny, nu = len(model.outputs), len(model.inputs)

@@ -16,7 +16,7 @@ import numpy as np
 from controllers.scheduled_pid import ScheduledPID, parts
 from controllers.tuning import Tuned, Tuning, tune
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear
+from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear, check_schedule_from_outside
 from workbench.records import field, record
 from workbench.robustness.frozen import DEFAULT, PEAKS, Bounds, Margins, around, frequencies, resonant, worst_margins
 
@@ -127,6 +127,8 @@ def design_pid(
     scale (ny,): outputs that count as equally large; default: what unit inputs move in the middle of the range.
     Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
     """
+    for own in (model, *robust_to):
+        check_schedule_from_outside(own, "the design of a PID")
     grid = _knots(model, knots)
     plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
     held = plan.held(setpoint)

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 
 from workbench.errors import InputError, check_known
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.records import field, record
 
 SETTLED = 1e-3  # of the final value; a step response that has not come so near by its last sample has not settled
@@ -55,6 +55,7 @@ def fotd(model: LPVModel, output: str, source: str, rho: float | None = None) ->
     T + L = A0 / K, A0 the area between step response and final value; T = e A1 / K, A1 the area under it up to T + L. Half a
     sample is added to L, for the hold. Raises InputError where the channel does not settle or does not move.
     """
+    check_schedule_from_outside(model, "a tuning rule")
     i = [c.name for c in model.outputs].index(check_known("output", output, [c.name for c in model.outputs], file=model.name))
     j = [c.name for c in model.inputs].index(check_known("input", source, [c.name for c in model.inputs], file=model.name))
     A, B, C, D = model.freeze(rho)

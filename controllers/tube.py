@@ -37,7 +37,7 @@ from workbench.errors import InputError
 from workbench.intervals.arithmetic import Interval, exact, positive_definite
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.records import field, record
 from workbench.robustness.semidefinite import Block, maximise, symmetric
 
@@ -120,6 +120,7 @@ def predictor_observer(model: LPVModel) -> Observer:
     """The model's own predictor as an observer, and beside it what stays of its errors, which set-points have to be rid of."""
     if model.predictor is None:
         raise InputError("no predictor in this model", file=model.name, mend="identify it from records")
+    check_schedule_from_outside(model, "an observer")
     ny, nx = len(model.outputs), model.order
     grid = np.linspace(model.span[0], model.span[1], 11) if model.schedule else np.zeros(1)
     K = np.tensordot(_frozen(model, grid), model.predictor.K, 1)

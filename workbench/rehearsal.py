@@ -15,7 +15,7 @@ import numpy as np
 
 from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
-from workbench.lpv import LPVModel, check_no_feedthrough
+from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
 from workbench.physics.controller import stepped
 from workbench.records import field, record
 
@@ -46,6 +46,7 @@ class Rehearsal:
         _check_fits(law, model)
         at_y, at_u = _places(law, law.measured, model.outputs), _places(law, law.actuated, model.inputs)
         check_no_feedthrough(model)
+        check_schedule_from_outside(model, "a rehearsal")
         weights, phi = model.weights(self.rho), point.basis(self.rho)
         u0, y0 = phi @ point.u, phi @ point.y
         K = model.predictor.K if model.predictor else np.zeros((len(model.terms), model.order, len(self.size)))

@@ -20,7 +20,7 @@ from workbench.errors import InputError
 from workbench.files import nullable, write_json
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.physics.controller import check_controller
 from workbench.physics.plant import Plant
 from workbench.progress import Progress, silent
@@ -74,6 +74,8 @@ def check(
         if given is not None and not isinstance(given, kind):
             told = f"{name}: {type(given).__name__} {given!r}"[:80]
             raise InputError(f"{told}, expected {kind.__name__}", mend="wb.identify(..).model, wb.diagnose(..).plant")
+    if model is not None:
+        check_schedule_from_outside(model, "check")
     for name, count in (("lags", lags), ("nodes", nodes), ("runs", runs)):
         if count is not None and not (isinstance(count, int) and count >= 1):
             raise InputError(f"{name} = {count!r}", mend="expected a whole number from 1 on")

@@ -14,7 +14,7 @@ import numpy as np
 
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.physics.effects.effect import Named, Port
 from workbench.physics.plant import Plant
 from workbench.physics.rest import Start
@@ -44,6 +44,7 @@ def identified(model: LPVModel) -> Plant:
     the inputs already; what the model remembers of it are states. A channel in rad/s turns something, whose angle is followed.
     Raises InputError for a schedule that is an output too.
     """
+    check_schedule_from_outside(model, "a plant of a model")
     schedule = model.schedule
     if schedule and schedule.name in [c.name for c in model.outputs]:
         raise InputError(

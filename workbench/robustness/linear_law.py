@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.physics.controller import Controller, Loop, stepped
 
 COMPARED, SAME_ANSWER = 12, 1e-6  # samples at which law and linear form are compared; of an answer, how far they may differ
@@ -47,7 +47,8 @@ LINEAR = ("at", "offset", "low", "high", "rate", "span")
 
 
 def check_law(model: LPVModel, law: LinearLaw) -> None:
-    """Refuse a law of other outputs or inputs, or of another schedule, than the model."""
+    """Refuse a law of other outputs or inputs, or of another schedule, than the model, and a model that schedules itself."""
+    check_schedule_from_outside(model, "a frozen loop")
     for kind, names, channels in (("output", law.measured, model.outputs), ("input", law.actuated, model.inputs)):
         known = [c.name for c in channels]
         if foreign := [name for name in names if name not in known]:

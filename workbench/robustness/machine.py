@@ -17,7 +17,7 @@ from workbench.intervals.domains.choice import nearest
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Simulation
 from workbench.intervals.semantics import ParameterBox
-from workbench.lpv import LPVModel, check_no_feedthrough
+from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
 from workbench.records import field, record
 from workbench.robustness.frequency import System
 from workbench.robustness.linear_law import LinearLaw
@@ -110,6 +110,7 @@ def _within(model: LPVModel, rho: float | None) -> float:
 def _with_errors(model: LPVModel, errors: Sequence[IntervalModel], weight: np.ndarray, rho: float) -> Machine:
     """The same with the weights (nt) of the terms at a sample."""
     check_no_feedthrough(model)
+    check_schedule_from_outside(model, "a proof on the model")
     known = {e.output.name: e for e in errors}
     wanted, sources = [ERROR_OF + c.name for c in model.outputs], [c.name for c in (*model.outputs, *model.inputs)]
     if model.predictor is None or sorted(known) != sorted(wanted) or len(errors) != len(wanted):
