@@ -4,6 +4,11 @@ The schedule's range is cut into equal intervals; each gets its own LTI model of
 operating points u0(rho), y0(rho); every local model runs over the whole record, and 0 <= alpha_i <= 1 is a bounded
 least-squares fit of the free-run outputs.
 
+Where the schedule is an output, y0(rho) = rho would leave nothing to the local models. Then each runs about the mean of its own
+samples, and the blend reads the schedule that is known before its sample:
+
+    y(k) = sum_i alpha_i sigma_i(rho(k-1)) (y_i(k) + c_i),    c_i = y0_i - G_i(1) u0_i
+
 [1] "Experimental Modelling of a Web Winding Machine: LPV Approaches", sections 1.3 and 1.4.4.
 """
 
@@ -19,6 +24,7 @@ from workbench.identification.lti import TIE
 from workbench.identification.subspace import N4SID, PBSID, Subspace, channels_of
 from workbench.lpv import Estimate, Gaussian, LPVModel, OperatingPoint, Powers, Predictor, Term
 from workbench.metrics import fit
+from workbench.quasi_lpv import coupling_notes
 from workbench.records import field, record
 
 
@@ -61,8 +67,8 @@ class ILM:
     models: how many, default each of `sweep`, the smallest number within 0.5 points of the best mean free-run FIT on the
     estimation records. order: of each local model, None for its own singular values. activation: Plain, Normalised, or None
     for what the estimation records prefer; overlaps: widths of the activations to try. drift: degrees of the polynomials
-    u0(rho), y0(rho) to try, the lowest within 0.5 points of the best is taken. method: identifies the local models.
-    resamples: block-bootstrap draws behind the standard deviations of alpha, 0 for none.
+    u0(rho), y0(rho) to try, the lowest within 0.5 points of the best is taken; not used where the schedule is an output.
+    method: identifies the local models. resamples: block-bootstrap draws behind the standard deviations of alpha, 0 for none.
 
         >>> ILM(models=2, order=1).fit(data).order
         2
@@ -92,7 +98,8 @@ class ILM:
     def _tried(self, dataset: Dataset) -> "tuple[list[_Blend], list[str]]":
         """All blends, and what could not be had."""
         blends, refused = [], []
-        for degree in self.drift:
+        own = _schedule_of(dataset.experiments[0]).has_role("output")
+        for degree in (0,) if own else self.drift:
             task = _Task.of(degree, dataset)
             families, refused = _families(self, task)
             blends += [blend for family in families for blend in _blends(self, task, family)]
@@ -104,7 +111,10 @@ class ILM:
 
 @record
 class _Task:
-    """The estimation records in deviations from the operating point, and where on the schedule they are."""
+    """The estimation records in deviations from the operating point, and where on the schedule they are.
+
+    scheduled_output: which output the schedule is; blended: the schedule as the output equation reads it.
+    """
 
     dataset: Dataset
     inputs: tuple[Channel, ...]
@@ -115,6 +125,11 @@ class _Task:
     u: tuple[np.ndarray, ...]
     y: tuple[np.ndarray, ...]
     rho: tuple[np.ndarray, ...]
+    scheduled_output: int | None
+
+    @property
+    def blended(self) -> tuple[np.ndarray, ...]:
+        return self.rho if self.scheduled_output is None else tuple(np.concatenate([r[:1], r[:-1]]) for r in self.rho)
 
     @classmethod
     def of(cls, drift: int, dataset: Dataset) -> "_Task":
@@ -134,6 +149,7 @@ class _Task:
             tuple(a - p @ point.u for a, p in zip(u, phi, strict=True)),
             tuple(a - p @ point.y for a, p in zip(y, phi, strict=True)),
             rho,
+            [c.name for c in outputs].index(schedule.name) if schedule.has_role("output") else None,
         )  # fmt: skip
 
     def stacked(self, rows: Sequence[np.ndarray], warmup: int) -> np.ndarray:
@@ -171,6 +187,7 @@ class _Family:
     centres: np.ndarray = field("l")
     width: float
     local: tuple[Subspace, ...]
+    offsets: np.ndarray = field("l ny")  # c_i
     left_out: int  # samples in pieces too short for the method
     simulated: tuple[np.ndarray, ...]
 
@@ -192,11 +209,23 @@ def _families(options: ILM, task: _Task) -> tuple[list[_Family], list[str]]:
         raise InputError("; ".join(refused), mend="fewer models, longer records, or a method with smaller past")
     # all models of all families run side by side: the loop over time is paid once
     together = [model for _, _, local, _ in found for model in local]
-    runs = [_free_run(together, u, y) for u, y in zip(task.u, task.y, strict=True)]
+    offsets = np.array(
+        [_offset(model) if task.scheduled_output is not None else np.zeros(len(task.outputs)) for model in together]
+    )
+    runs = [_free_run(together, u, y, offsets) for u, y in zip(task.u, task.y, strict=True)]
     ends = np.cumsum([len(local) for _, _, local, _ in found])
-    parts = [[run[:, e - len(f[2]) : e] for run in runs] for e, f in zip(ends, found, strict=True)]
-    families = [_Family(f[0], f[1], f[2], f[3], tuple(p)) for f, p in zip(found, parts, strict=True)]
+    own = [slice(e - len(f[2]), e) for e, f in zip(ends, found, strict=True)]
+    families = [
+        _Family(f[0], f[1], f[2], offsets[part], f[3], tuple(run[:, part] for run in runs))
+        for f, part in zip(found, own, strict=True)
+    ]
     return families, refused
+
+
+def _offset(local: Subspace) -> np.ndarray:
+    """c = y0 - G(1) u0 of a local model about the mean of its samples."""
+    rest = (1.0 + 1e-12) * np.eye(local.order) - local.A  # an exact integrator gets a huge gain instead of an error
+    return local.y0 - (local.C @ np.linalg.solve(rest, local.B) + local.D) @ local.u0
 
 
 def _local(options: ILM, task: _Task, low: float, high: float) -> tuple[Subspace, int]:
@@ -224,8 +253,8 @@ def _pieces(task: _Task, low: float, high: float) -> Iterator[Experiment]:
             )
 
 
-def _free_run(models: Sequence[Subspace], u: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """[1] step 1: y_i(k) of every model side by side, (N, models, ny); the predictor follows y during the warm-up."""
+def _free_run(models: Sequence[Subspace], u: np.ndarray, y: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """[1] step 1: y_i(k) + c_i of every model side by side, (N, models, ny); the predictor follows y during the warm-up."""
     n, warmup = max(m.order for m in models), models[0].past
     A, B, C, K = (np.zeros((len(models), *shape)) for shape in ((n, n), (n, u.shape[1]), (y.shape[1], n), (n, y.shape[1])))
     for i, m in enumerate(models):
@@ -235,10 +264,13 @@ def _free_run(models: Sequence[Subspace], u: np.ndarray, y: np.ndarray) -> np.nd
     x = np.zeros((len(u) + 1, len(models), n, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable local model may leave the numbers
         driven = np.einsum("inu,ku->kin", B, u)[..., None]
-        followed = np.einsum("inu,ku->kin", G, u[:warmup])[..., None] + np.einsum("iny,ky->kin", K, y[:warmup])[..., None]
+        followed = (
+            np.einsum("inu,ku->kin", G, u[:warmup])[..., None]
+            + np.einsum("iny,kiy->kin", K, y[:warmup, None] - offsets)[..., None]
+        )
         for k in range(len(u)):
             x[k + 1] = F @ x[k] + followed[k] if k < warmup else A @ x[k] + driven[k]
-        return np.einsum("iyn,kin->kiy", C, x[:-1, ..., 0]) + np.einsum("iyu,ku->kiy", D, u)
+        return np.einsum("iyn,kin->kiy", C, x[:-1, ..., 0]) + np.einsum("iyu,ku->kiy", D, u) + offsets
 
 
 # ---- blending -------------------------------------------------------------------------------------------------------
@@ -265,16 +297,35 @@ def _blends(options: ILM, task: _Task, family: _Family) -> Iterator[_Blend]:
             half = 0.5 * overlap * family.width
             beta = np.full(len(family.centres), np.log(2.0) / half**2)
             basis = Gaussian(family.centres, beta, kind.normalised)
-            weighted = [basis(rho)[..., None] * s for rho, s in zip(task.rho, outputs, strict=True)]
+            weighted = [basis(rho)[..., None] * s for rho, s in zip(task.blended, outputs, strict=True)]
             alpha = _interpolation(task.stacked(weighted, warmup), task.stacked(task.y, warmup))
+            runs = (
+                [np.einsum("kiy,iy->ky", w, alpha) for w in weighted]
+                if task.scheduled_output is None
+                else [_own_run(task, basis, alpha * s, rho[warmup - 1], warmup) for s, rho in zip(outputs, task.rho, strict=True)]
+            )
             scores = [
-                fit(y[warmup:, j] + offset[warmup:, j], (w[warmup:, :, j] @ alpha[:, j]) + offset[warmup:, j])
-                for y, w, offset in zip(task.y, weighted, _offsets(task), strict=True)
+                fit(y[warmup:, j] + offset[warmup:, j], run[warmup:, j] + offset[warmup:, j])
+                for y, run, offset in zip(task.y, runs, _offsets(task), strict=True)
                 for j in range(len(task.outputs))
             ]
             degree = len(task.point.u) - 1
             candidate = Candidate(len(family.local), degree, kind, overlap, float(np.mean(scores)))
             yield _Blend(candidate, task, family, basis, alpha)
+
+
+def _own_run(task: _Task, basis: Gaussian, parts: np.ndarray, rho: float, warmup: int) -> np.ndarray:
+    """sum_i sigma_i(rho(k-1)) parts_i(k), (N, ny), for parts (N, l, ny): from the warm-up on along the run's own output."""
+    assert task.scheduled_output is not None
+    y, (low, high), level = (
+        np.zeros((len(parts), parts.shape[2])),
+        task.span.tolist(),
+        float(task.point.y[0, task.scheduled_output]),
+    )
+    for k in range(warmup, len(parts)):
+        y[k] = np.array(basis.functions(rho)) @ parts[k]
+        rho = min(max(float(y[k, task.scheduled_output]) + level, low), high)
+    return y
 
 
 def _offsets(task: _Task) -> list[np.ndarray]:
@@ -330,11 +381,19 @@ def _assemble(options: ILM, blend: _Blend) -> LPVModel:
     for block, (i, m) in enumerate(zip(used, local, strict=True)):
         C[i, :, first[block] : first[block + 1]] = blend.alpha[i][:, None] * m.C  # [1] (1.11)
         D[i] = blend.alpha[i][:, None] * m.D
+    late = 0 if task.scheduled_output is None else 1  # what the output equation reads is known before its sample
     return LPVModel(
         options.name, task.dataset.dt, task.inputs, task.outputs, task.schedule, task.span,
-        dataclasses.replace(blend.basis, with_constant=True), tuple(Term(i) for i in range(last + 1)), A, B, C, D,
-        task.point,
+        dataclasses.replace(blend.basis, with_constant=True), (*(Term(i, late) for i in range(last)), Term(last)), A, B, C, D,
+        task.point if task.scheduled_output is None else _blended_point(blend),
     )  # fmt: skip
+
+
+def _blended_point(blend: _Blend) -> OperatingPoint:
+    """u0, and y0(rho) = y0 + sum_i alpha_i sigma_i(rho) c_i."""
+    point, offsets = blend.task.point, blend.alpha * blend.family.offsets
+    u = np.vstack([np.zeros((len(offsets), point.u.shape[1])), point.u])
+    return OperatingPoint(dataclasses.replace(blend.basis, with_constant=True), u, np.vstack([offsets, point.y]))
 
 
 def _weight(blend: _Blend, i: int) -> float:
@@ -348,7 +407,8 @@ def _predictors(model: LPVModel, blend: _Blend, warmup: int) -> tuple[Predictor,
 
     Shared: every local model is corrected by the blend's own innovation, K_i (y - y_blend), as in an innovation model.
     Separate: every local model follows the output alone, K_i (y - y_i); always stable, and less accurate where several
-    models are active. The shared one is left out where it does not forget its initial state.
+    models are active. The shared one is left out where it does not forget its initial state. Where the schedule is an output
+    each local model has an operating point of its own, and without the shared one none is corrected.
     """
     from scipy.linalg import block_diag
 
@@ -358,7 +418,11 @@ def _predictors(model: LPVModel, blend: _Blend, warmup: int) -> tuple[Predictor,
     F, G = np.zeros_like(model.A), np.zeros_like(model.B)
     F[-1] = block_diag(*(m.A - m.K @ m.C for m in local))
     G[-1] = np.vstack([m.B - m.K @ m.D for m in local])
-    separate = Predictor(F, G, K, warmup)
+    separate = (
+        Predictor(F, G, K, warmup)
+        if blend.task.scheduled_output is None
+        else Predictor(model.A, model.B, np.zeros_like(K), warmup)
+    )
     shared = Predictor(model.A - K[-1] @ model.C, model.B - K[-1] @ model.D, K, warmup)
     grid = model.weights(np.linspace(model.span[0], model.span[1], 51))
     radius = np.abs(np.linalg.eigvals(np.tensordot(grid, shared.F, 1))).max()
@@ -376,14 +440,15 @@ def _finished(model: LPVModel, blend: _Blend, options: ILM, notes: tuple[str, ..
         choices.append(dataclasses.replace(candidate, noise=e.T @ e / len(e)))
     power = np.var(task.stacked(task.y, warmup), axis=0)
     best = min(choices, key=lambda m: float(np.sum(np.diag(m.noise) / power)))
-    return dataclasses.replace(best, estimates=_estimates(blend, warmup, options.resamples), notes=notes)
+    own = () if best.scheduled_output is None else coupling_notes(best)
+    return dataclasses.replace(best, estimates=_estimates(blend, warmup, options.resamples), notes=(*notes, *own))
 
 
 def _estimates(blend: _Blend, warmup: int, draws: int, *, block: int = 50) -> tuple[Estimate, ...]:
     """alpha with standard deviations: blocks of rows drawn anew, the local models as they are."""
     task = blend.task
     outputs = [np.nan_to_num(s, posinf=0.0, neginf=0.0) for s in blend.family.simulated]
-    rows = task.stacked([blend.basis(r)[..., None] * s for r, s in zip(task.rho, outputs, strict=True)], warmup)
+    rows = task.stacked([blend.basis(r)[..., None] * s for r, s in zip(task.blended, outputs, strict=True)], warmup)
     y = task.stacked(task.y, warmup)
     random = np.random.default_rng(0)
     spread = np.zeros_like(blend.alpha)
@@ -413,9 +478,14 @@ def _notes(best: _Blend, blends: Sequence[_Blend], refused: Sequence[str]) -> tu
     best_of = {count: max(b.candidate.FIT for b in blends if b.candidate.models == count) for count in tried}
     orders = [m.order for m in best.family.local]
     orders = orders[:1] if len(set(orders)) == 1 else orders
+    about = (
+        f"operating point of degree {chosen.drift}"
+        if best.task.scheduled_output is None
+        else "each about the mean of its samples"
+    )
     notes = [
         f"{chosen.models} local models of order {', '.join(map(str, orders))}, {kind} activations, "
-        f"overlap {chosen.overlap:g}, operating point of degree {chosen.drift}; "
+        f"overlap {chosen.overlap:g}, {about}; "
         "free-run FIT on the estimation records by number of models: "
         + ", ".join(f"{count}: {value:.1f}" for count, value in best_of.items())
     ]

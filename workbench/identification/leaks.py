@@ -6,7 +6,8 @@ the sensor's noise: no cause of an output knows it.
     r = y - sum_j h(j) s(t + j), |j| <= LAGS        (least squares, s taken to be known to KNOWN of its spread)
 
 A channel is a leak where r is smaller than half of the white noise of y: the noise of y is in s. An integrator of the output (a
-reel's radius) is none: to tell y from it, differences must be taken, and KNOWN drowns them. Without noise only a copy is told,
+reel's radius) is none: to tell y from it, differences must be taken, and KNOWN drowns them. Nor is a schedule that is named as an
+output: free runs then follow the model's own. Without noise only a copy is told,
 y = a s(t + j) + b to rounding. Of an input only a copy counts: feedback answers the output's noise, too, but has something of its
 own besides wherever a set-point or a dither moves.
 """
@@ -28,9 +29,11 @@ MOST = 20_000  # samples of a record that are looked at
 def leaks(dataset: Dataset) -> tuple[str, ...]:
     """A sentence for every input or schedule of the records that is an output; records of any roles."""
     first, found = dataset.experiments[0], []
-    for output in first.names_of("output"):
+    outputs = first.names_of("output")
+    outside = [name for name in first.names_of("schedule") if name not in outputs]
+    for output in outputs:
         noise = sensor_noise(dataset, output)
-        for channel in (*first.names_of("schedule"), *first.names_of("input")):
+        for channel in (*outside, *first.names_of("input")):
             if sentence := _leak(dataset, output, channel, noise):
                 found.append(sentence)
     return tuple(found)
@@ -69,7 +72,11 @@ def _leak(dataset: Dataset, output: str, channel: str, noise: float) -> str:
     if missed < enough:
         late = f", {abs(lag)} samples {'early' if lag < 0 else 'late'}" if lag else ""
         said = f"{what} times {1.0 / scale:.4g}{late}: the rest is {missed:.3g} {unit}".rstrip()
-        mine = "leave it out" if role == "schedule" else "a copy, or a loop that nothing else moves"
+        mine = (
+            f"leave it out, or name {output} itself as schedule"
+            if role == "schedule"
+            else "a copy, or a loop that nothing else moves"
+        )
         return f"{said}; every score would be of the output itself ({mine})"
     if role == "schedule" and (missed := _filtered(pieces)) < BELOW * noise:
         said = f"{what}, filtered: what it leaves of {output} is {missed:.3g}, and the sensor's noise {noise:.3g} {unit}".rstrip()

@@ -109,6 +109,12 @@ class IntervalRegression:
         y, u = named_output(dataset, output), first.names_of("input")
         if isinstance(self.partition, BySchedule) and not first.names_of("schedule"):
             raise InputError("no schedule channel", mend="name one with --schedule, or leave the schedule intervals out")
+        if isinstance(self.partition, BySchedule) and y in first.names_of("schedule"):
+            raise InputError(
+                "is output and schedule: an envelope would choose its boxes by the measured output",
+                channel=y,
+                mend="leave the schedule intervals out, or give a schedule from outside",
+            )
         e_y, e_u, notes = error_bounds(dataset, y, u, self.output_error, self.input_error)
         S = samples(self.structure, dataset, y, u, output_error=e_y, input_error=e_u)
         program = box_program(S, self.semantics)

@@ -77,6 +77,12 @@ class ScheduledMean:
 
     def of(self, problem: Problem, dataset: Dataset) -> OperatingPoint:
         names = problem.names
+        if problem.own:
+            raise InputError(
+                "the mean output at every value of an output is that value: nothing is left to model",
+                channel=names.schedule.name if names.schedule else "",
+                mend="use FittedZero or RawSignals where the schedule is an output",
+            )
         if names.schedule is None:
             basis, rho = CONSTANT, np.zeros(sum(len(e) for e in dataset))
         else:
@@ -97,6 +103,8 @@ class SSM:
     best. mu_factor: mu over its smallest feasible value, per output and order; None chooses among `factors` the same
     way (None: the ones in FACTORS). mu: the bound itself where the noise is known, in units of the output; it
     overrules mu_factor.
+    A schedule that is an output is read in f and g as any other, up to y(k-1); free runs, and poles, are of the recursion that
+    schedules itself.
     basis: None is {1, rho, .., rho^4, rho^-1, .., rho^-3} of [1] with rho over its middle value; where the records' schedule
     reaches zero, {1, rho, .., rho^4} with rho over its largest size.
     feedthrough: a term D u(k) with constant D; None where the records show that inputs act within the sample.

@@ -1,4 +1,4 @@
-"""The recursion of given coefficients: its parts by lag, its frozen poles and its free runs."""
+"""The recursion of given coefficients: its parts by lag, its frozen poles and its free runs under a schedule from outside."""
 
 import numpy as np
 
@@ -36,17 +36,15 @@ def radius(theta: np.ndarray, n: int, problem: Problem, points: int = 21) -> flo
     return float(np.abs(np.linalg.eigvals(A)).max())
 
 
-def free_run_fit(theta: np.ndarray, n: int, s: Signals, start: int) -> float:
-    """FIT [%] of the free run, mean over outputs, from sample `start` on; -inf where it diverges.  [1] eq. (1.17)"""
-    y = _free_run(theta, n, s, start)
-    if y is None:
+def mean_fit(measured: np.ndarray, y: np.ndarray | None) -> float:
+    """FIT [%] of a free run y (N, ny), mean over outputs; -inf where it has diverged.  [1] eq. (1.17)"""
+    if y is None or not np.abs(y).max() <= DIVERGED * np.abs(measured).max():
         return -np.inf
-    truth = s.y[start:]
-    spread = np.linalg.norm(truth - truth.mean(axis=0), axis=0)
-    return float(np.mean(100 * (1 - np.linalg.norm(truth - y[start:], axis=0) / np.where(spread > 0, spread, 1.0))))
+    spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
+    return float(np.mean(100 * (1 - np.linalg.norm(measured - y, axis=0) / np.where(spread > 0, spread, 1.0))))
 
 
-def _free_run(theta: np.ndarray, n: int, s: Signals, start: int) -> np.ndarray | None:
+def free_run(theta: np.ndarray, n: int, s: Signals, start: int) -> np.ndarray | None:
     """y (N, ny) of the recursion from measured inputs and schedule; measured outputs before `start`; None: diverged."""
     own = coefficients(theta, n)
     f, g = own.f, own.g

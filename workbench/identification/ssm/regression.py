@@ -9,6 +9,7 @@ from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
 from workbench.identification.sparse import orthonormal_range
+from workbench.identification.subspace import channels_of
 from workbench.lpv import CONSTANT, Basis, OperatingPoint, Powers
 from workbench.records import field, record
 
@@ -38,9 +39,10 @@ class Problem:
     """The estimation records as the regressions see them: basis, span, operating point, signals."""
 
     def __init__(self, options: "SSM", dataset: Dataset):
-        self.options, self.dt = options, dataset.dt
+        self.options, self.dataset, self.dt = options, dataset, dataset.dt
         self.names = _names(dataset)
         self.basis, self.span = _basis_and_span(options.basis, dataset, self.names.schedule)
+        self.own = self.names.schedule is not None and self.names.schedule.has_role("output")  # the schedule is an output
         longest = max(options._orders)
         for e in dataset:
             if len(e) <= 2 * longest:
@@ -67,10 +69,8 @@ class Problem:
 
 def _names(dataset: Dataset) -> Names:
     first = dataset.experiments[0]
-    inputs, outputs, schedule = (tuple(c for c in first.channels if c.role == role) for role in ("input", "output", "schedule"))
-    for role, found in (("input", inputs), ("output", outputs)):
-        if not found:
-            raise InputError(f"no {role} channel", file=first.name, mend="name one with with_roles")
+    inputs, outputs = channels_of(first)
+    schedule = tuple(first.channel(name) for name in first.names_of("schedule"))
     if len(schedule) > 1:
         names = ", ".join(c.name for c in schedule)
         raise InputError("several schedule channels", file=first.name, channel=names, mend="keep one of them")

@@ -1,6 +1,6 @@
 """Every order and bound that is tried: sparse programs, refits, free runs, and the choice among them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +8,10 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.identification.sparse import Bound, Solution
-from workbench.identification.ssm.recursion import free_run_fit, radius
-from workbench.identification.ssm.regression import Problem
+from workbench.identification.ssm.realisation import realised
+from workbench.identification.ssm.recursion import free_run, mean_fit, radius
+from workbench.identification.ssm.regression import Problem, Signals
+from workbench.lpv import LPVModel
 from workbench.records import field, record
 
 TOLERANCE = 0.2  # FIT points by which a sparser candidate may be worse and still be taken
@@ -21,8 +23,9 @@ class Candidate:
 
     mu, smallest (ny): the bound and its smallest feasible value, per output; error (ny): ||Y - Psi theta||_h after
     step 2; support: coefficients that are not zero, all outputs together; radius: largest spectral radius of the frozen
-    model over the schedule's range; fit: mean free-run FIT [%] on the estimation records, -inf where the run diverged;
-    held_out likewise on the validation records; theta (ny, regressors, m).
+    model over the schedule's range, of the linearised one where the schedule is an output; fit: mean free-run FIT [%] on
+    the estimation records, -inf where the run diverged; held_out likewise on the validation records; theta (ny,
+    regressors, m).
     """
 
     order: int
@@ -66,7 +69,7 @@ class SSMSweep:
 def sweep(problem: Problem, validation: Dataset | None) -> SSMSweep:
     options = problem.options
     start = max(options._orders)  # every order is scored on the same samples
-    held_out = [problem.signals_of(e, problem.point) for e in validation] if validation else []
+    judged = _SelfScheduled(problem, start, validation) if problem.own else _Scheduled(problem, start, validation)
     path, skipped = [], []
     for n in options._orders:
         for factor, found in _solved(problem, n):
@@ -81,13 +84,44 @@ def sweep(problem: Problem, validation: Dataset | None) -> SSMSweep:
                     np.array([smallest for _, smallest, _ in found]),
                     np.array([fit.mu for _, _, fit in found]),
                     int(np.count_nonzero(theta)),
-                    radius(theta, n, problem),
-                    float(np.mean([free_run_fit(theta, n, s, start) for s in problem.signals])),
-                    float(np.mean([free_run_fit(theta, n, s, start) for s in held_out])) if held_out else None,
+                    *judged(theta, n),
                     theta,
                 )
             )
     return SSMSweep(tuple(path), tuple(skipped))
+
+
+class _Scheduled:
+    """Spectral radius, FIT and held-out FIT of coefficients under the measured schedule."""
+
+    def __init__(self, problem: Problem, start: int, validation: Dataset | None):
+        self.problem, self.start = problem, start
+        self.held_out = [problem.signals_of(e, problem.point) for e in validation] if validation else []
+
+    def __call__(self, theta: np.ndarray, n: int) -> tuple[float, float, float | None]:
+        held_out = self._fit(theta, n, self.held_out) if self.held_out else None
+        return radius(theta, n, self.problem), self._fit(theta, n, self.problem.signals), held_out
+
+    def _fit(self, theta: np.ndarray, n: int, signals: Sequence[Signals]) -> float:
+        runs = [(s.y, free_run(theta, n, s, self.start)) for s in signals]
+        return float(np.mean([mean_fit(y[self.start :], None if run is None else run[self.start :]) for y, run in runs]))
+
+
+class _SelfScheduled:
+    """The same of a recursion whose schedule is its own output: of the model itself."""
+
+    def __init__(self, problem: Problem, start: int, validation: Dataset | None):
+        self.problem, self.start, self.validation = problem, start, validation
+
+    def __call__(self, theta: np.ndarray, n: int) -> tuple[float, float, float | None]:
+        model = realised(self.problem, theta, n)
+        held_out = self._fit(model, self.validation) if self.validation else None
+        return model.stability(points=21).radius, self._fit(model, self.problem.dataset), held_out
+
+    def _fit(self, model: LPVModel, dataset: Dataset) -> float:
+        y0 = self.problem.point.y[0]
+        runs = [(e[[c.name for c in model.outputs]] - y0, model.simulate(e, warmup=self.start) - y0) for e in dataset]
+        return float(np.mean([mean_fit(y[self.start :], run[self.start :]) for y, run in runs]))
 
 
 def _solved(problem: Problem, n: int) -> Iterator[tuple[str, str | list[tuple[float, float, Solution]]]]:
