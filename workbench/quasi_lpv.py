@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 MET = 1e-9  # share of the largest number in an equilibrium's equations that its solution may miss
 READ = 1e-12  # share of the largest entry below which a past schedule value counts as not read
+GRID = 101  # schedule values at which equilibria are looked for
 TOLD = 3  # schedule values at which a note compares frozen and true poles
 CHUNK = 4096  # runs that are made side by side
 
@@ -187,21 +188,25 @@ def slopes(basis: "Basis", rho: float) -> np.ndarray:
 
 
 def coupling_notes(model: "LPVModel") -> tuple[str, ...]:
-    """What frozen matrices leave out: the largest pole of both at the ends and in the middle of the span; and no equilibria."""
+    """What frozen matrices leave out, by the largest pole; whether the linearised model is stable; where nothing holds it."""
     assert model.schedule is not None
-    said, none = [], []
+    name, unit = model.schedule.name, f" {model.schedule.unit}".rstrip()
+    stability, said = model.stability(GRID), []
     for rho in np.linspace(model.span[0], model.span[1], TOLD).tolist():
-        frozen = _radius(model.freeze(rho)[0])
-        try:
-            said.append(f"{frozen:.4g} and {_radius(linearised(model, rho)[0]):.4g} at {rho:.4g}")
-        except InputError:
-            none.append(f"{rho:.4g}")
-    unit = f" {model.schedule.unit}".rstrip()
-    notes = [f"the schedule {model.schedule.name} is an output: a free run schedules itself"]
+        if rho not in stability.unknown:
+            frozen, true = (_radius(A) for A, *_ in (model.freeze(rho), linearised(model, rho)))
+            said.append(f"{frozen:.4g} and {true:.4g} at {rho:.4g}{unit}")
+    notes = [f"the schedule {name} is an output: free runs schedule themselves"]
     if said:
-        notes.append(f"hidden coupling: modulus of the largest pole, frozen and linearised, {', '.join(said)}{unit}")
-    if none:
-        notes.append(f"no equilibrium at {model.schedule.name} = {', '.join(none)}{unit}: no constant input holds it there")
+        notes.append(f"hidden coupling: modulus of the largest pole, frozen and linearised, {', '.join(said)}")
+    if stability.radius >= 1.0:
+        notes.append(
+            f"unstable: the linearised model has spectral radius {stability.radius:.4f} at {name} = {stability.at:.4g}{unit}"
+        )
+    if stability.unknown:
+        low, high = min(stability.unknown), max(stability.unknown)
+        where = f"at {len(stability.unknown)} of {GRID} values of {name} from {low:.4g} to {high:.4g}{unit}"
+        notes.append(f"no equilibrium {where}: no constant input holds it there")
     return tuple(notes)
 
 

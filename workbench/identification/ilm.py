@@ -20,12 +20,14 @@ import numpy as np
 
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.identification.lti import TIE
+from workbench.identification.lti import TIE, mean_fit
 from workbench.identification.subspace import N4SID, PBSID, Subspace, channels_of
 from workbench.lpv import Estimate, Gaussian, LPVModel, OperatingPoint, Powers, Predictor, Term
 from workbench.metrics import fit
 from workbench.quasi_lpv import coupling_notes
 from workbench.records import field, record
+
+NOTHING = 1e-9  # a share of a local model that rounding leaves
 
 
 @record
@@ -92,7 +94,10 @@ class ILM:
         return dataclasses.replace(model, trained_on=dataset.fingerprints)
 
     def candidates(self, dataset: Dataset) -> tuple[Candidate, ...]:
-        """Every blend that is tried, with its mean free-run FIT on the estimation records."""
+        """Every blend that is tried, with its mean free-run FIT on the estimation records.
+
+        Where the schedule is an output the best blend of each number of models, with the FIT of the model that it makes.
+        """
         return tuple(blend.candidate for blend in self._tried(dataset)[0])
 
     def _tried(self, dataset: Dataset) -> "tuple[list[_Blend], list[str]]":
@@ -103,7 +108,7 @@ class ILM:
             task = _Task.of(degree, dataset)
             families, refused = _families(self, task)
             blends += [blend for family in families for blend in _blends(self, task, family)]
-        return blends, refused
+        return _confirmed(self, blends) if own else blends, refused
 
 
 # ---- records in deviations ------------------------------------------------------------------------------------------
@@ -353,8 +358,30 @@ def _bounded(X: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.clip(alpha, 0.0, 1.0)
 
 
+def _confirmed(options: ILM, blends: Sequence[_Blend]) -> list[_Blend]:
+    """The best blend of each number of models, with the FIT of its model: one that schedules itself may go where it begins."""
+    best: dict[int, _Blend] = {}
+    for blend in sorted(_with_share(blends), key=lambda b: b.candidate.FIT):
+        best[blend.candidate.models] = blend
+    found = []
+    for blend in best.values():
+        FIT = mean_fit(_observed(_assemble(options, blend), blend, options), blend.task.dataset)
+        found.append(dataclasses.replace(blend, candidate=dataclasses.replace(blend.candidate, FIT=FIT)))
+    return found
+
+
+def _with_share(blends: Sequence[_Blend]) -> list[_Blend]:
+    """Those in which a local model has a share."""
+    return [blend for blend in blends if blend.alpha.max() > NOTHING]
+
+
 def _choose(blends: Sequence[_Blend]) -> _Blend:
     """Of the blends within half a point of the best: the lowest drift, of those the fewest models, of those the best."""
+    blends = _with_share(blends)
+    if not blends:
+        raise InputError(
+            "no local model has a share in any blend: their free runs say nothing", mend="use SSM, or longer records"
+        )
     best = max(b.candidate.FIT for b in blends)
     near = [b for b in blends if best - TIE <= b.candidate.FIT]
     return min(near, key=lambda b: (b.candidate.drift, b.candidate.models, -b.candidate.FIT))
@@ -399,7 +426,7 @@ def _blended_point(blend: _Blend) -> OperatingPoint:
 def _weight(blend: _Blend, i: int) -> float:
     """Largest alpha of a local model over the outputs; what is left of a zero by rounding counts as zero."""
     largest = float(blend.alpha[i].max())
-    return largest if largest > 1e-9 else 0.0
+    return largest if largest > NOTHING else 0.0
 
 
 def _predictors(model: LPVModel, blend: _Blend, warmup: int) -> tuple[Predictor, ...]:
@@ -430,7 +457,15 @@ def _predictors(model: LPVModel, blend: _Blend, warmup: int) -> tuple[Predictor,
 
 
 def _finished(model: LPVModel, blend: _Blend, options: ILM, notes: tuple[str, ...]) -> LPVModel:
-    """With the observer that predicts the estimation records better one step ahead, its noise, and the spread of alpha."""
+    """With an observer, its noise, and the spread of alpha."""
+    model = _observed(model, blend, options)
+    own = () if model.scheduled_output is None else coupling_notes(model)
+    estimates = _estimates(blend, options.method.past, options.resamples)
+    return dataclasses.replace(model, estimates=estimates, notes=(*notes, *own))
+
+
+def _observed(model: LPVModel, blend: _Blend, options: ILM) -> LPVModel:
+    """With the observer that predicts the estimation records better one step ahead, and its noise."""
     task, warmup = blend.task, options.method.past
     names = [c.name for c in task.outputs]
     choices = []
@@ -439,9 +474,7 @@ def _finished(model: LPVModel, blend: _Blend, options: ILM, notes: tuple[str, ..
         e = np.concatenate([(x[names] - candidate.predict(x))[warmup:] for x in task.dataset])
         choices.append(dataclasses.replace(candidate, noise=e.T @ e / len(e)))
     power = np.var(task.stacked(task.y, warmup), axis=0)
-    best = min(choices, key=lambda m: float(np.sum(np.diag(m.noise) / power)))
-    own = () if best.scheduled_output is None else coupling_notes(best)
-    return dataclasses.replace(best, estimates=_estimates(blend, warmup, options.resamples), notes=(*notes, *own))
+    return min(choices, key=lambda m: float(np.sum(np.diag(m.noise) / power)))
 
 
 def _estimates(blend: _Blend, warmup: int, draws: int, *, block: int = 50) -> tuple[Estimate, ...]:

@@ -20,12 +20,13 @@ def observer_form(problem: Problem, best: Candidate) -> LPVModel:
 
 
 def _notes(model: LPVModel, best: Candidate) -> tuple[str, ...]:
-    stability = model.stability()
-    notes = [] if model.scheduled_output is None else list(coupling_notes(model))
-    if stability.radius >= 1.0:
-        place = "" if model.schedule is None else f" at {model.schedule.name} = {stability.at:.4g}"
-        which = "frozen model" if model.scheduled_output is None else "linearised model"
-        notes.append(f"unstable: the {which} has spectral radius {stability.radius:.4f}{place}")
+    notes = _frozen_notes(model) if model.scheduled_output is None else coupling_notes(model)
     if not np.isfinite(best.fit) or best.fit < 50:
-        notes.append(f"the free run on the estimation records has FIT {best.fit:.0f} %: do not simulate with it")
-    return tuple(notes)
+        notes = (*notes, f"the free run on the estimation records has FIT {best.fit:.0f} %: do not simulate with it")
+    return notes
+
+
+def _frozen_notes(model: LPVModel) -> tuple[str, ...]:
+    stability = model.stability()
+    place = "" if model.schedule is None else f" at {model.schedule.name} = {stability.at:.4g}"
+    return () if stability.stable else (f"unstable: the frozen model has spectral radius {stability.radius:.4f}{place}",)
