@@ -1,5 +1,7 @@
 """Two poles and a dead time as the floor of an identification, and the criterion, by verb and by command."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -62,3 +64,31 @@ def test_the_command_takes_a_criterion_and_refuses_another(tmp_path, capsys):
     assert np.sqrt(np.mean((model.simulate(again) - again[["y"]])[model.warmup :] ** 2)) == pytest.approx(0.05, rel=0.25)
     assert main([*words, "--criterion", "simulatoin"]) == 2
     assert "simulation" in capsys.readouterr().err
+
+
+def test_the_command_takes_an_output_as_schedule_and_a_design_refuses_its_model(tmp_path, capsys):
+    """A tank, h+ = h + 0.05 (u - sqrt(h)): by command, to a model that schedules itself."""
+
+    def record(name: str, seed: int) -> str:
+        random, N = np.random.default_rng(seed), 700
+        u, h = np.repeat(random.uniform(0.3, 1.0, N // 50), 50), np.full(N, 0.4)
+        for k in range(N - 1):
+            h[k + 1] = h[k] + 0.05 * (u[k] - np.sqrt(h[k]))
+        outputs = {"level": h + 0.002 * random.normal(size=N)}
+        e = Experiment.from_arrays(name, 0.5, inputs={"u": u}, outputs=outputs)
+        return str(wb.write_csv(e, tmp_path / f"{name}.csv"))
+
+    words = ["identify", record("a", 1), "--inputs", "u", "--output", "level", "--schedule", "level", "--holdout", record("b", 2)]
+    assert main([*words, "--model", "lti,ssm", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "hidden coupling: modulus of the largest pole" in said
+    assert "is output" not in said  # no leak
+    scores = {s["model"]: s for s in json.loads((tmp_path / "out" / "scores.json").read_text())["models"]}
+    free = {
+        name: next(s["RMSE"] for s in own["scores"] if (s["split"], s["horizon"]) == ("held-out", "free-run"))
+        for name, own in scores.items()
+    }
+    assert free["SSM"] < 0.5 * free["LTI"]
+    for law in ("scheduled-pid", "mpc"):
+        assert main(["design", law, "--model", str(tmp_path / "out" / "ssm.json"), "--out", str(tmp_path / law)]) == 2
+        assert "level is schedule and output of this model" in capsys.readouterr().err
