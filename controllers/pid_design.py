@@ -15,8 +15,9 @@ import numpy as np
 
 from controllers.scheduled_pid import ScheduledPID, parts
 from controllers.tuning import Tuned, Tuning, tune
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear, check_schedule_from_outside
+from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.records import field, record
 from workbench.robustness.frozen import DEFAULT, PEAKS, Bounds, Margins, around, frequencies, resonant, worst_margins
 

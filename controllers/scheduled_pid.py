@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from workbench.basis import CONSTANT, Curve, PiecewiseLinear, Products, basis_from_dict, basis_to_dict, hats
 from workbench.errors import InputError, check_known
-from workbench.lpv import CONSTANT, Basis, PiecewiseLinear, basis_from_dict, basis_to_dict, hats
 from workbench.records import field, record
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class ScheduledPID:
     rate: np.ndarray = field("nu", unit="1/s", low=1e-300)
     Tf: float = field("", unit="s", low=0.0, high=FAR)
     anti_windup: AntiWindup = field(default_factory=BackCalculation)
-    basis: Basis = CONSTANT
+    basis: Curve = CONSTANT
     schedule: str | None = None
     span: np.ndarray = field("2", default=(-np.inf, np.inf))
     name: str = "scheduled-pid"
@@ -205,13 +205,15 @@ class ScheduledPID:
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
         """The law that `to_dict` wrote."""
         anti_windup = dict(content["anti_windup"])
-        span = content["span"]
+        span, basis = content["span"], basis_from_dict(content["basis"])
+        if isinstance(basis, Products):
+            raise InputError("gains over several schedules", file=content["name"], mend="a scheduled PID follows one")
         return cls(
             actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
             dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"],
             Kr=content.get("Kr", np.zeros(np.shape(content["Kp"]))), u0=content["u0"], b=content["b"], c=content["c"],
             low=unlimited(content["low"], -np.inf), high=unlimited(content["high"], np.inf),
-            rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
+            rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis,
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=content["schedule"], name=content["name"], units=dict(content.get("units", {})),
             span=np.append(unlimited(span[:1], -np.inf), unlimited(span[1:], np.inf)),

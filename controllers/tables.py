@@ -12,8 +12,8 @@ import numpy as np
 from controllers.mpc import MPC, Extrapolated
 from controllers.observer import interpolated
 from controllers.scheduled_pid import LAW, BackCalculation, ScheduledPID, finite
+from workbench.basis import Basis, PiecewiseLinear, Powers
 from workbench.errors import InputError
-from workbench.lpv import Basis, PiecewiseLinear, Powers
 from workbench.provenance import program
 
 GAIN_TABLE, MATRICES = "gain-scheduling-workbench/gain-table", "gain-scheduling-workbench/mpc-matrices"

@@ -9,6 +9,10 @@ from .answers.diagnose import DiagnosisResult as DiagnosisResult
 from .answers.diagnose import diagnose as diagnose
 from .answers.identify import IdentificationResult as IdentificationResult
 from .answers.identify import identify as identify
+from .basis import Gaussian as Gaussian
+from .basis import PiecewiseLinear as PiecewiseLinear
+from .basis import Powers as Powers
+from .basis import Products as Products
 from .data import Channel as Channel
 from .data import Dataset as Dataset
 from .data import Experiment as Experiment
@@ -16,6 +20,7 @@ from .errors import InputError as InputError
 from .identification.ilm import ILM as ILM
 from .identification.lti import LTI as LTI
 from .identification.output_error.method import OutputError as OutputError
+from .identification.output_error.state_space import LPVOutputError as LPVOutputError
 from .identification.ssm import SSM as SSM
 from .identification.subspace import N4SID as N4SID
 from .identification.subspace import PBSID as PBSID
@@ -23,10 +28,7 @@ from .intervals.coverage import cover as cover
 from .intervals.model import IntervalModel as IntervalModel
 from .intervals.model import load_interval_model as load_interval_model
 from .intervals.regression import IntervalRegression as IntervalRegression
-from .lpv import Gaussian as Gaussian
 from .lpv import LPVModel as LPVModel
-from .lpv import PiecewiseLinear as PiecewiseLinear
-from .lpv import Powers as Powers
 from .lpv import load_model as load_model
 from .metrics import score as score
 from .physics.controller import Controller as Controller

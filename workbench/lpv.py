@@ -5,19 +5,19 @@
     M(k)   = sum_j M_j phi_j(rho(k - d_j))        for M in A, B, C, D, and the predictor's F, G, K
 
 LTI is one constant term. ILM has block-diagonal A and C weighted by activation functions. SSM uses delayed values of
-the schedule, so a term is a basis function together with a delay d_j >= 0 in samples. A schedule that is one of the outputs
-is known after the output equation only: `workbench.quasi_lpv` says which value each equation reads then.
+the schedule, so a term is a basis function together with a delay d_j >= 0 in samples. The schedule rho is a number, or several:
+then the last axis of every rho is the variables. A schedule that is one of the outputs is known after the output equation only:
+`workbench.quasi_lpv` says which value each equation reads then.
 """
 
-import itertools
 from collections.abc import Sequence
-from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from workbench.basis import CONSTANT, Basis, basis_from_dict, basis_to_dict
 from workbench.data import SAME_DT, SCHEDULED_OUTPUT, Channel, Experiment
-from workbench.errors import InputError, check_known
+from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.quasi_lpv import linearised, predicted, simulated
 from workbench.records import field, record
@@ -32,129 +32,6 @@ FORGOTTEN = 0.01  # of a start: what is left of it counts as nothing
 TOLD = 2  # values for each state that is to be told from them
 KNOWN = 1e-6  # of the best known direction of a start: what is known less is taken to be 0
 CHUNK = 4096  # samples whose scheduled matrices are held at once
-
-
-@record
-class Powers:
-    """phi_j(rho) = (rho / scale)^exponent_j; exponents may be negative, then the schedule must not cross zero.
-
-    >>> Powers(np.array([0.0, 1.0, 2.0]), scale=10.0)(np.array([5.0]))
-    array([[1.  , 0.5 , 0.25]])
-    """
-
-    exponents: np.ndarray = field("m", default=(0.0,))
-    scale: float = field("", low=1e-300, default=1.0)
-
-    def __call__(self, rho: np.ndarray) -> np.ndarray:
-        return stacked(self, rho)
-
-    def functions(self, rho) -> list:
-        """phi_j at a number, an array or a CasADi symbol."""
-        return [(rho / self.scale) ** float(e) for e in self.exponents]
-
-    def slopes(self, rho: float) -> list:
-        """d phi_j / d rho."""
-        return [e / self.scale * (rho / self.scale) ** (e - 1.0) if e else 0.0 for e in self.exponents.tolist()]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple("1" if e == 0 else "rho" if e == 1 else f"rho^{e:g}" for e in self.exponents)
-
-
-@record
-class Gaussian:
-    """phi_j(rho) = exp(-beta_j (rho - centre_j)^2); `normalised` divides by their sum, so that they add up to one.
-
-    `with_constant` appends phi = 1, for the matrices of a model that do not move with the schedule.
-
-        >>> np.array(Gaussian(np.array([0.0, 10.0]), beta=np.array([0.1, 0.1]), normalised=True).functions(4.0)).round(2)
-        array([0.88, 0.12])
-    """
-
-    centres: np.ndarray = field("m")
-    beta: np.ndarray = field("m", low=0.0)
-    normalised: bool = False
-    with_constant: bool = False
-
-    def __call__(self, rho: np.ndarray) -> np.ndarray:
-        return stacked(self, rho)
-
-    def functions(self, rho) -> list:
-        """phi_j at a number, an array or a CasADi symbol."""
-        exponents = [-b * (rho - c) ** 2 for c, b in zip(self.centres, self.beta, strict=True)]
-        if self.normalised:
-            # far from every centre all of them underflow: the quotient does not when the largest is taken out first
-            top = reduce(np.maximum, exponents)
-            weights = [np.exp(e - top) for e in exponents]
-            total = sum(weights)
-            weights = [w / total for w in weights]
-        else:
-            weights = [np.exp(e) for e in exponents]
-        return [*weights, *([0.0 * rho + 1.0] if self.with_constant else [])]
-
-    def slopes(self, rho: float) -> list:
-        """d phi_j / d rho."""
-        weights = self.functions(rho)[: len(self.centres)]
-        rates = [-2.0 * b * (rho - c) for c, b in zip(self.centres, self.beta, strict=True)]
-        common = sum(w * r for w, r in zip(weights, rates, strict=True)) if self.normalised else 0.0
-        return [*(w * (r - common) for w, r in zip(weights, rates, strict=True)), *([0.0] if self.with_constant else [])]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return (*(f"g({c:.4g})" for c in self.centres), *(("1",) if self.with_constant else ()))
-
-
-@record
-class PiecewiseLinear:
-    """phi_j(rho) is 1 at knot_j, 0 at every other knot, linear between, constant outside the first and last knot.
-
-    >>> PiecewiseLinear(np.array([0.0, 5.0, 10.0]))(np.array([2.5]))
-    array([[0.5, 0.5, 0. ]])
-    """
-
-    knots: np.ndarray = field("m")
-
-    def __post_init__(self):
-        if np.any(np.diff(self.knots) <= 0):
-            raise InputError("knots must increase")
-
-    def __call__(self, rho: np.ndarray) -> np.ndarray:
-        return stacked(self, rho)
-
-    def functions(self, rho) -> list:
-        """phi_j at a number, an array or a CasADi symbol."""
-        return hats(rho, self.knots)
-
-    def slopes(self, rho: float) -> list:
-        """d phi_j / d rho; at a knot towards larger values, at the last one from smaller ones."""
-        j = int(np.clip(np.searchsorted(self.knots, rho, side="right"), 1, len(self.knots) - 1))
-        rise = 1.0 / (self.knots[j] - self.knots[j - 1]) if self.knots[0] <= rho <= self.knots[-1] else 0.0
-        return [-rise if i == j - 1 else rise if i == j else 0.0 for i in range(len(self.knots))]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(f"hat({k:.4g})" for k in self.knots)
-
-
-Basis = Powers | Gaussian | PiecewiseLinear
-
-
-def hats(rho, knots: Any) -> list:
-    """The functions of `PiecewiseLinear`, where the knots may be symbols too."""
-    inside = np.minimum(np.maximum(rho, knots[0]), knots[-1])
-    rise = [(inside - a) / (b - a) for a, b in itertools.pairwise(knots)]
-    # each is the lower of the side that leads up to its knot and the side that leads down from it
-    up, down = [0.0 * rho + 1.0, *rise], [*(1.0 - r for r in rise), 0.0 * rho + 1.0]
-    return [np.maximum(np.minimum(a, b), 0.0) for a, b in zip(up, down, strict=True)]
-
-
-def stacked(basis: Basis, rho: np.ndarray) -> np.ndarray:
-    """phi(rho), (..., m)."""
-    return np.stack(basis.functions(np.asarray(rho, dtype=float)), axis=-1)
-
-
-BASES: dict[str, type] = {"powers": Powers, "gaussian": Gaussian, "piecewise-linear": PiecewiseLinear}
-CONSTANT = Powers()
 
 
 @record
@@ -202,11 +79,12 @@ class Stability:
     """Largest spectral radius of A over the schedule range, and the schedule value where it occurs.
 
     Of the frozen A; where the schedule is an output, of the linearisations about the equilibria. unknown: schedule values of
-    the grid without an equilibrium; where there is none at all the radius is NaN, and nothing is known to be stable.
+    the grid without an equilibrium; where there is none at all the radius is NaN, and nothing is known to be stable. Of several
+    schedule variables `at` is a tuple, and the range the whole box of theirs.
     """
 
     radius: float
-    at: float
+    at: "float | tuple[float, ...]"
     unknown: tuple[float, ...] = ()
 
     @property
@@ -218,8 +96,9 @@ class Stability:
 class LPVModel:
     """x+ = A(rho) x + B(rho) u, y = C(rho) x + D(rho) u in deviations from the operating point.
 
-    Shapes: A (nt, nx, nx), B (nt, nx, nu), C (nt, ny, nx), D (nt, ny, nu), one slice per term. `span` is the schedule
-    range [low, high] of the estimation records; outside it the model holds the edge value of its basis functions.
+    Shapes: A (nt, nx, nx), B (nt, nx, nu), C (nt, ny, nx), D (nt, ny, nu), one slice per term. `spans` (ns, 2) are the ranges
+    [low, high] of the schedule variables in the estimation records; farther outside than `reach` the model holds the values that
+    its basis functions have there. rho is a number where there is one variable, (ns,) where there are several.
     A schedule with the role "scheduled output" is the output of its name: free runs and predictions schedule themselves from
     where measurements end, and `to_control` and `stability` are of the true linearisation; see `workbench.quasi_lpv`.
 
@@ -233,8 +112,8 @@ class LPVModel:
     dt: float = field("", unit="s", low=0.0)
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
-    schedule: Channel | None
-    span: np.ndarray = field("2")
+    schedules: tuple[Channel, ...]
+    spans: np.ndarray = field("ns 2")
     basis: Basis = field()
     terms: tuple[Term, ...]
     A: np.ndarray = field("nt nx nx")
@@ -247,6 +126,7 @@ class LPVModel:
     estimates: tuple[Estimate, ...] = ()
     trained_on: tuple[str, ...] = ()  # fingerprints of the estimation records
     notes: tuple[str, ...] = ()  # what a user must know before using the model, in plain words
+    reach: float = field("", low=0.0, default=0.0)  # share of each span by which the basis is followed beyond it
 
     def __post_init__(self):
         for term in self.terms:
@@ -256,9 +136,13 @@ class LPVModel:
             raise InputError(f"{len(self.terms)} terms for {self.A.shape[0]} matrices", file=self.name)
         if len(self.inputs) != self.B.shape[2] or len(self.outputs) != self.C.shape[1]:
             raise InputError("channel lists do not match B and C", file=self.name)
-        if self.schedule and self.schedule.role == SCHEDULED_OUTPUT and self.schedule.name not in [c.name for c in self.outputs]:
-            mend = "name it among the outputs, or give it the role schedule"
-            raise InputError("is a scheduled output and no output", file=self.name, channel=self.schedule.name, mend=mend)
+        if len(self.schedules) != len(self.spans):
+            raise InputError(f"{len(self.schedules)} schedules for {len(self.spans)} spans", file=self.name)
+        for schedule in self.schedules:
+            if schedule.role == SCHEDULED_OUTPUT and schedule.name not in [c.name for c in self.outputs]:
+                mend = "name it among the outputs, or give it the role schedule"
+                raise InputError("is a scheduled output and no output", file=self.name, channel=schedule.name, mend=mend)
+        check_one_if_output(self.schedules, self.name)
 
     @property
     def warmup(self) -> int:
@@ -272,22 +156,71 @@ class LPVModel:
     # ---- the schedule -------------------------------------------------------------------------------------------
 
     @property
+    def schedule(self) -> Channel | None:
+        """The schedule of a model that has one variable at most; None where it has none.
+
+        Raises InputError where it has several: who asks was made for one.
+        """
+        if len(self.schedules) > 1:
+            names = ", ".join(c.name for c in self.schedules)
+            mend = "identify with one of them (--schedule), or use the model in compare, simulate() and freeze()"
+            raise InputError("several schedule variables, this takes one", file=self.name, channel=names, mend=mend)
+        return self.schedules[0] if self.schedules else None
+
+    @property
+    def span(self) -> np.ndarray:
+        """[low, high] of the schedule of a model that has one variable at most, see `schedule`; zeros where it has none."""
+        return np.zeros(2) if self.schedule is None else self.spans[0]
+
+    @property
     def scheduled_output(self) -> int | None:
         """Which output the schedule is by its role; None for a schedule from outside."""
-        if self.schedule is None or self.schedule.role != SCHEDULED_OUTPUT:
-            return None
-        return [c.name for c in self.outputs].index(self.schedule.name)
+        own = [c.name for c in self.schedules if c.role == SCHEDULED_OUTPUT]
+        return [c.name for c in self.outputs].index(own[0]) if own else None
 
     def schedule_of(self, experiment: Experiment) -> np.ndarray:
-        """rho(k), (N,), clipped to the model's span; zeros for a model without schedule."""
-        if self.schedule is None:
+        """rho(k), (N,) or (N, ns), as the model follows it, see `clipped`; zeros for a model without schedule."""
+        return self.clipped(self.measured_schedule(experiment))
+
+    def measured_schedule(self, experiment: Experiment) -> np.ndarray:
+        """The schedule as it was measured, (N,) or (N, ns); zeros for a model without."""
+        if not self.schedules:
             return np.zeros(len(experiment))
-        return np.clip(experiment[self.schedule.name], *self.span)
+        return experiment[self.schedules[0].name] if len(self.schedules) == 1 else experiment[[c.name for c in self.schedules]]
+
+    def clipped(self, rho: np.ndarray) -> np.ndarray:
+        """Schedule values, moved into the spans and what `reach` adds to them."""
+        low, high = self._ends
+        beyond = self.reach * (high - low)
+        return np.clip(rho, low - beyond, high + beyond)
 
     def outside(self, rho: np.ndarray) -> float:
         """How far the schedule leaves the model's span, in widths of the span: 0 inside, NaN where rho is not a number."""
-        width = (self.span[1] - self.span[0]) or 1.0
-        return float(np.max(np.maximum(self.span[0] - rho, rho - self.span[1]), initial=0.0) / width)
+        low, high = self._ends
+        width = np.where(high > low, high - low, 1.0)
+        return float(np.max(np.maximum(low - rho, rho - high) / width, initial=0.0))
+
+    @property
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest schedule values, numbers for one variable at most and (ns,) for several."""
+        low, high = (self.spans if self.schedules else np.zeros((1, 2))).T
+        return (low, high) if len(low) > 1 else (low[0], high[0])
+
+    @property
+    def middle(self) -> np.ndarray:
+        """The schedule value in the middle of the spans."""
+        return np.mean(self._ends, axis=0)
+
+    def grid(self, points: int) -> np.ndarray:
+        """Schedule values over the spans and what `reach` adds to them; see `lattice`."""
+        beyond = self.reach * np.diff(self.spans) * [-1.0, 1.0]
+        return lattice(self.spans + beyond, points)
+
+    def named(self, rho: Any) -> str:
+        """A schedule value with the names and units of its variables, "r2 = 0.1 m, q2 = 0.3 rad"; "" without schedule."""
+        values = np.atleast_1d(rho) if self.schedules else ()
+        parts = (f"{c.name} = {v:.4g} {c.unit}".rstrip() for c, v in zip(self.schedules, values, strict=True))
+        return ", ".join(parts)
 
     def weights(self, rho: np.ndarray, newest: int = 0) -> np.ndarray:
         """phi_j(rho(k - d_j)), (N, nt), no delay below `newest`; before the first sample the schedule holds its first value."""
@@ -295,25 +228,25 @@ class LPVModel:
         late = np.arange(len(rho))[:, None] - np.maximum([term.delay for term in self.terms], newest)
         return phi[np.maximum(late, 0), [term.function for term in self.terms]]
 
-    def freeze(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def freeze(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C, D at a constant schedule value; a model without schedule needs none.
 
         Where the schedule is an output these leave out what it answers to the state: `linearise` has that.
-        Raises InputError outside the span of the estimation records: nobody knows the machine there.
+        Raises InputError outside the spans of the estimation records: nobody knows the machine there.
         """
-        if self.schedule is None:
-            rho = 0.0
-        elif rho is None or not self.outside(np.array([rho])) <= 0.01:
-            unit = f" {self.schedule.unit}".rstrip()
-            raise InputError(
-                f"{self.schedule.name} = {'(none given)' if rho is None else f'{rho:g}{unit}'}",
-                file=self.name,
-                mend=f"the model knows {self.schedule.name} from {self.span[0]:g} to {self.span[1]:g}{unit}",
+        value = np.zeros(()) if not self.schedules or rho is None else np.asarray(rho, dtype=float)
+        if self.schedules and (rho is None or value.shape != np.shape(self.middle) or not self.outside(value) <= 0.01):
+            names = ", ".join(c.name for c in self.schedules)
+            given = names + " (none given)" if rho is None else f"{names} = {', '.join(f'{v:g}' for v in value.ravel())}"
+            known = "; ".join(
+                f"{c.name} from {low:g} to {high:g} {c.unit}".rstrip()
+                for c, (low, high) in zip(self.schedules, self.spans, strict=True)
             )
-        weight = self.weights(np.array([np.clip(rho, *self.span)]))[0]
+            raise InputError(given, file=self.name, mend=f"the model knows {known}")
+        weight = self.weights(self.clipped(value)[None])[0]
         return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
 
-    def linearise(self, rho: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C, D of small motions at a schedule value: those of `freeze`, or where the schedule is an output those about the
         equilibrium at which that output is rho.
 
@@ -322,7 +255,7 @@ class LPVModel:
         frozen = self.freeze(rho)
         return frozen if self.scheduled_output is None or rho is None else linearised(self, rho)
 
-    def to_control(self, rho: float | None = None, *, frozen: bool = False) -> "control.StateSpace":
+    def to_control(self, rho: Any = None, *, frozen: bool = False) -> "control.StateSpace":
         """Small motions at a schedule value as a discrete python-control system with our channel names; see `linearise`.
 
         frozen: with a schedule that stands still even where it is an output.
@@ -332,21 +265,30 @@ class LPVModel:
         return control.StateSpace(
             *(self.freeze(rho) if frozen else self.linearise(rho)),
             self.dt,
-            name=(self.name if self.schedule is None else f"{self.name} at {rho:g}").replace(".", "_"),  # it refuses dots
+            name=" at ".join(filter(None, [self.name, self.named(rho)])).replace(".", "_"),  # it refuses dots
             inputs=[c.name for c in self.inputs],
             outputs=[c.name for c in self.outputs],
         )
 
     def stability(self, points: int = 101) -> Stability:
         """Spectral radius of A on a grid over the span; see `Stability`."""
-        found, unknown = {}, []
-        for rho in np.linspace(self.span[0], self.span[1], points).tolist():
+        grid, unknown = self.grid(points), []
+        if self.scheduled_output is None:
+            A = np.tensordot(self.basis(grid)[:, [term.function for term in self.terms]], self.A, 1)
+            found = np.abs(np.linalg.eigvals(A)).max(axis=1, initial=0.0)
+            worst = int(np.argmax(found))
+            at = grid[worst]
+            return Stability(float(found[worst]), tuple(at.tolist()) if at.ndim else float(at))
+        radius, worst = np.nan, np.nan
+        for rho in grid.tolist():
             try:
-                found[rho] = float(np.abs(np.linalg.eigvals(self.linearise(rho)[0])).max(initial=0.0))
+                own = float(np.abs(np.linalg.eigvals(self.linearise(rho)[0])).max(initial=0.0))
             except InputError:  # no equilibrium
                 unknown.append(rho)
-        worst = max(found, key=lambda rho: found[rho], default=np.nan)
-        return Stability(found.get(worst, np.nan), worst, tuple(unknown))
+                continue
+            if not own <= radius:
+                radius, worst = own, rho
+        return Stability(radius, worst, tuple(unknown))
 
     # ---- simulation and prediction -----------------------------------------------------------------------------------
 
@@ -484,8 +426,9 @@ class LPVModel:
             "dt": self.dt,
             "inputs": [vars(c) for c in self.inputs],
             "outputs": [vars(c) for c in self.outputs],
-            "schedule": vars(self.schedule) if self.schedule else None,
-            "span": self.span,
+            "schedule": _one_or_all([vars(c) for c in self.schedules]),
+            "span": _one_or_all(self.spans.tolist(), [0.0, 0.0]),
+            "reach": self.reach,
             "basis": basis_to_dict(self.basis),
             "operating_point": {
                 "basis": basis_to_dict(self.operating_point.basis),
@@ -514,6 +457,19 @@ class LPVModel:
         write_json(path, self.to_dict())
 
 
+def _one_or_all(values: list, none: Any = None) -> Any:
+    """How a file holds what belongs to the schedules: one by itself, several as a list, `none` without any."""
+    return values if len(values) > 1 else values[0] if values else none
+
+
+def check_one_if_output(schedules: Sequence[Channel], file: str) -> None:
+    """Refuse a schedule that is an output beside others."""
+    if len(schedules) > 1 and any(c.role == SCHEDULED_OUTPUT for c in schedules):
+        names = ", ".join(c.name for c in schedules)
+        mend = "name one schedule, or schedules of which none is an output"
+        raise InputError("a schedule that is an output cannot have others beside it", file=file, channel=names, mend=mend)
+
+
 def check_no_feedthrough(model: LPVModel) -> None:
     """Refuse a model whose outputs see the command of their own sample: a law commands after it has measured, and holds."""
     if np.any(model.D):
@@ -529,6 +485,15 @@ def check_schedule_from_outside(model: LPVModel, task: str) -> None:
             file=model.name,
             mend="identify with --schedule none, or with another schedule; to_control(rho) has the linearisation about a point",
         )
+
+
+def lattice(spans: np.ndarray, points: int) -> np.ndarray:
+    """Schedule values over spans (ns, 2), ends included: (points,) over one, 0 over none, of several about points^2, (n, ns)."""
+    if len(spans) < 2:
+        return np.linspace(spans[0, 0], spans[0, 1], points) if len(spans) else np.zeros(1)
+    each = max(2, round(points ** (2.0 / len(spans))))
+    axes = np.meshgrid(*(np.linspace(low, high, each) for low, high in spans), indexing="ij")
+    return np.stack([axis.ravel() for axis in axes], axis=1)
 
 
 def load_model(path) -> LPVModel:
@@ -565,14 +530,15 @@ def model_from_dict(content: dict[str, Any]) -> LPVModel:
     if warmup is not None:
         F, G, K = (np.array([term[key] for term in terms]) for key in "FGK")
         predictor = Predictor(F, G, K, warmup, content.get("predictor_free_start", False))
-    point = content["operating_point"]
+    point, schedule = content["operating_point"], content["schedule"]
+    schedules = tuple(Channel(**c) for c in (schedule if isinstance(schedule, list) else [schedule] if schedule else []))
     return LPVModel(
         name=content["name"],
         dt=content["dt"],
         inputs=tuple(Channel(**c) for c in content["inputs"]),
         outputs=tuple(Channel(**c) for c in content["outputs"]),
-        schedule=Channel(**content["schedule"]) if content["schedule"] else None,
-        span=content["span"],
+        schedules=schedules,
+        spans=np.reshape(content["span"] if schedules else [], (-1, 2)),
         basis=basis,
         terms=tuple(Term(int(term["function"]), int(term["delay"])) for term in terms),
         operating_point=OperatingPoint(basis_from_dict(point["basis"]), point["u"], point["y"]),
@@ -581,20 +547,9 @@ def model_from_dict(content: dict[str, Any]) -> LPVModel:
         estimates=tuple(Estimate(**e) for e in content["estimates"]),
         trained_on=tuple(content.get("trained_on", ())),
         notes=tuple(content["notes"]),
+        reach=content.get("reach", 0.0),
         **stacked,
     )
-
-
-def basis_to_dict(basis: Basis) -> dict[str, Any]:
-    """Plain numbers, with the basis' kind."""
-    kind = next(kind for kind, cls in BASES.items() if isinstance(basis, cls))
-    return {"kind": kind} | vars(basis)
-
-
-def basis_from_dict(content: dict[str, Any]) -> Basis:
-    """The basis that `basis_to_dict` wrote."""
-    options = dict(content)
-    return BASES[check_known("basis", options.pop("kind"), BASES)](**options)
 
 
 def constant_model(
@@ -608,6 +563,6 @@ def constant_model(
     """An LTI model (A, B, C, D) as an LPV model with one constant term."""
     A, B, C, D = (np.asarray(M)[None] for M in matrices)
     return LPVModel(
-        name, dt, tuple(channels[0]), tuple(channels[1]), None, np.zeros(2), CONSTANT, (Term(0),), A, B, C, D,
+        name, dt, tuple(channels[0]), tuple(channels[1]), (), np.zeros((0, 2)), CONSTANT, (Term(0),), A, B, C, D,
         operating_point, **rest,
     )  # fmt: skip

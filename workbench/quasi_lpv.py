@@ -19,12 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from workbench.basis import Products
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.records import field, record
 
 if TYPE_CHECKING:
-    from workbench.lpv import Basis, LPVModel
+    from workbench.basis import Basis
+    from workbench.lpv import LPVModel
 
 MET = 1e-9  # share of the largest number in an equilibrium's equations that its solution may miss
 READ = 1e-12  # share of the largest entry below which a past schedule value counts as not read
@@ -184,6 +186,7 @@ def _with_memory(frozen: tuple, H: np.ndarray, E: np.ndarray, s: int) -> tuple[n
 
 def slopes(basis: "Basis", rho: float) -> np.ndarray:
     """d phi_j / d rho, (m); at a kink the slope towards larger values."""
+    assert not isinstance(basis, Products)  # a schedule that is an output stands alone
     return np.array([float(value) for value in basis.slopes(rho)])
 
 

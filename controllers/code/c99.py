@@ -8,8 +8,8 @@ import numpy as np
 from controllers.code.constants import Table, table_sizes, tables
 from controllers.code.text import NO_LIMIT_FLOAT, basis_meaning, double_text, head_lines, plain_comment, power_text, with_comment
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
+from workbench.basis import Gaussian, PiecewiseLinear, Powers
 from workbench.errors import InputError
-from workbench.lpv import Gaussian, PiecewiseLinear, Powers
 
 Number = Callable[[float], str]
 C_HEADER = Template("""\

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.lpv import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Gaussian, PiecewiseLinear, Powers
 
 
 class Table(NamedTuple):

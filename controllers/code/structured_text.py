@@ -6,7 +6,7 @@ from string import Template
 from controllers.code.constants import Table, channel, channels, table_sizes, tables
 from controllers.code.text import NO_LIMIT, basis_meaning, double_text, head_lines, plain_comment, power_text, with_comment
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.lpv import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Gaussian, PiecewiseLinear, Powers
 
 ST_BLOCK = Template("""\
 (*

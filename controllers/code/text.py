@@ -14,7 +14,7 @@ import numpy as np
 
 from controllers.code.constants import channel, channels
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.lpv import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Gaussian, PiecewiseLinear, Powers
 from workbench.provenance import program
 
 NO_LIMIT, NO_LIMIT_FLOAT = 1e300, 1e38  # a limit that is not there, as a number

@@ -16,7 +16,7 @@ from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.intervals.coverage import cover
 from workbench.intervals.model import SCHEMA, IntervalModel, load_interval_model
-from workbench.lpv import load_model
+from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
 from workbench.readers import check_units
 from workbench.report.page import write_report
@@ -35,14 +35,15 @@ def run(options: Namespace) -> int:
     shown: Any = None  # the records with the roles of the first model
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
+        schedules = model.schedules if isinstance(model, LPVModel) else (model.schedule,) if model.schedule else ()
         dataset = read(
             *options.holdout,
             inputs=[c.name for c in model.inputs],
             outputs=[c.name for c in outputs],
-            schedule=model.schedule.name if model.schedule else (),
+            schedule=[c.name for c in schedules],
         )
         shown = shown or dataset
-        known = (*model.inputs, *outputs, *([model.schedule] if model.schedule else []))
+        known = (*model.inputs, *outputs, *schedules)
         for experiment in dataset:
             check_units(experiment, {c.name: c.unit for c in known})
         if isinstance(model, IntervalModel):

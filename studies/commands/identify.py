@@ -65,7 +65,7 @@ def _method_options(options: Namespace, method: str) -> dict[str, Any]:
     own: dict[str, Any] = {} if options.order is None else {"order": options.order}
     if method == "oe" and own.get("order", 0) > 2:  # a floor stays one
         del own["order"]
-    if options.feedthrough is not None and method in ("lti", "ssm"):
+    if options.feedthrough is not None and method in ("lti", "ssm", "lpv-oe"):
         own["feedthrough"] = options.feedthrough
     return own
 

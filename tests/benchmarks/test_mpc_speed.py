@@ -15,8 +15,9 @@ from controllers.nmpc import Ipopt, design_nmpc
 from controllers.pid import pid
 from controllers.receding import Weights, solved_by_daqp
 from plants import WEB_WINDING
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 
 pytestmark = pytest.mark.bench
 
@@ -32,7 +33,7 @@ def model() -> LPVModel:
     inputs, outputs = (tuple(Channel(f"{role}{i}", "", role) for i in range(2)) for role in ("input", "output"))
     two = lambda M: np.stack([M, M])  # noqa: E731
     return LPVModel(
-        "m", DT, inputs, outputs, Channel("rho", "", "schedule"), np.array([0.0, 1.0]), PiecewiseLinear((0.0, 1.0)),
+        "m", DT, inputs, outputs, (Channel("rho", "", "schedule"),), [[0.0, 1.0]], PiecewiseLinear((0.0, 1.0)),
         (Term(0), Term(1)), two(A), B, two(C), np.zeros((2, 2, 2)), OperatingPoint(CONSTANT, u=[[0.0, 0.0]], y=[[0.0, 0.0]]),
         Predictor(two(A - gain @ C), B, two(gain)), np.eye(2) * 0.01,
     )  # fmt: skip

@@ -13,8 +13,9 @@ import control
 import numpy as np
 from scipy import signal
 
+from workbench.basis import CONSTANT
 from workbench.data import Channel
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, constant_model
 from workbench.robustness.frozen import Bounds
 
 KINDS = ("resonance", "dead-time", "leaky-integrator", "wrong-zero", "late-resonance")

@@ -21,10 +21,10 @@ from studies.experiments import plan
 from tests.controllers.compiled import CompiledLaw
 from tests.controllers.structured_text import FunctionBlock, STError
 from tests.controllers.test_mpc import lpv
+from workbench.basis import Gaussian, PiecewiseLinear, Powers
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import write_json
-from workbench.lpv import Gaussian, PiecewiseLinear, Powers
 from workbench.simulation import simulate
 
 UNITS = {"V1": "V", "V2": "V", "w3": "rad/s", "theta": "deg", "r2": "m"}
@@ -476,7 +476,7 @@ def test_the_matrices_state_what_lies_between_their_rows():
     assert len(grid) == 21
     first = {key: getattr(model, key)[:1] for key in ("terms", "A", "B", "C", "D")}
     predictor = replace(model.predictor, **{key: getattr(model.predictor, key)[:1] for key in "FGK"})
-    still = replace(model, schedule=None, span=np.zeros(2), basis=Powers(), predictor=predictor, **first)
+    still = replace(model, schedules=(), spans=np.zeros((0, 2)), basis=Powers(), predictor=predictor, **first)
     (row,) = mpc_matrices(mpc(still))["rows"]
     assert "rho" not in row
     np.testing.assert_array_equal(row["B"], model.B[0])

@@ -15,9 +15,10 @@ from controllers.mpc import MPC, Extrapolated, Held, design_mpc
 from controllers.observer import design_observer
 from controllers.pid import pid
 from controllers.receding import Status, Weights
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 
 DT = 0.1
 A = np.array([[0.9, 0.1, 0.0], [-0.1, 0.8, 0.1], [0.0, 0.0, 0.6]])
@@ -33,7 +34,7 @@ def lpv() -> LPVModel:
     two = lambda M, other: np.stack([M, other])  # noqa: E731
     turned = B @ np.array([[0.6, -0.5], [0.7, 1.2]])
     return LPVModel(
-        "m", DT, tuple(inputs), tuple(outputs), Channel("r2", "m", "schedule"), np.array([1.0, 2.0]), PiecewiseLinear((1.0, 2.0)),
+        "m", DT, tuple(inputs), tuple(outputs), (Channel("r2", "m", "schedule"),), [[1.0, 2.0]], PiecewiseLinear((1.0, 2.0)),
         (Term(0), Term(1)), two(A, 0.95 * A), two(B, turned), two(C, C), np.zeros((2, 2, 2)),
         OperatingPoint(CONSTANT, u=[[0.3, -0.2]], y=[[5.0, 1.0]]),
         Predictor(two(A - K @ C, 0.95 * A - K @ C), two(B, turned), two(K, K)), np.diag([0.01, 0.02]),

@@ -11,7 +11,8 @@ from controllers import receding
 from controllers.mpc import MPC, Extrapolated, MPCState, design_mpc
 from controllers.receding import UNPLANNED, Status, Weights
 from tests.controllers.test_mpc import DT, Plant, free, law, lpv
-from workbench.lpv import OperatingPoint, PiecewiseLinear, Term
+from workbench.basis import PiecewiseLinear
+from workbench.lpv import OperatingPoint, Term
 
 N = 10
 U0, Y0 = np.array([[0.3, -0.2], [1.1, 0.6]]), np.array([[5.0, 1.0], [7.0, -1.0]])  # at both ends of the schedule

@@ -14,8 +14,8 @@ from controllers.plant_observer import Belief, PlantObserver, SampledPlant
 from controllers.receding import Status, Weights
 from plants import WEB_WINDING, WELDING_ROBOT
 from tests.controllers.test_nmpc import flat, robot, somewhere, winding
+from workbench.basis import PiecewiseLinear
 from workbench.errors import InputError
-from workbench.lpv import PiecewiseLinear
 
 DT = 0.04
 

@@ -8,9 +8,10 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from controllers.observer import augmented, design_observer
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 
 A = np.array([[0.8, 0.1], [0.0, 0.6]])
 B = np.array([[0.5, 0.1], [-0.2, 0.7]])
@@ -27,7 +28,7 @@ def model(gain=K, schedule=False) -> LPVModel:
     )
     return LPVModel(
         "m", 0.1, inputs, outputs,
-        Channel("r", "m", "schedule") if schedule else None, np.array([1.0, 2.0]) if schedule else np.zeros(2),
+        (Channel("r", "m", "schedule"),) if schedule else (), [[1.0, 2.0]] if schedule else np.zeros((0, 2)),
         PiecewiseLinear((1.0, 2.0)) if schedule else CONSTANT, (Term(0), Term(1)) if schedule else (Term(0),),
         two(A) if schedule else A[None], two(B, 1.5) if schedule else B[None], two(C) if schedule else C[None],
         np.zeros((2 if schedule else 1, 2, 2)), OperatingPoint(CONSTANT, u=[[0.0, 0.0]], y=[[0.0, 0.0]]),

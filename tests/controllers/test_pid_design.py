@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from controllers.pid_design import Structure, design_pid
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model, load_model
+from workbench.lpv import LPVModel, OperatingPoint, Term, constant_model, load_model
 from workbench.robustness.frozen import Bounds, loops_of, margins_of
 
 pytestmark = pytest.mark.slow
@@ -26,7 +27,7 @@ def machine(slow=0.8, fast=0.5, turned=TURNED) -> LPVModel:
     B = [(np.eye(2) - A) @ G for G in turned]
     point = OperatingPoint(CONSTANT, u=[[0.5, 0.2]], y=[[10.0, 1.0]])
     return LPVModel(
-        "machine", DT, INPUTS, OUTPUTS, Channel("r2", "m", "schedule"), np.array([1.0, 2.0]), PiecewiseLinear((1.0, 2.0)),
+        "machine", DT, INPUTS, OUTPUTS, (Channel("r2", "m", "schedule"),), [[1.0, 2.0]], PiecewiseLinear((1.0, 2.0)),
         (Term(0), Term(1)), np.stack([A, A]), np.stack(B), np.stack([np.eye(2)] * 2), np.zeros((2, 2, 2)), point,
     )  # fmt: skip
 

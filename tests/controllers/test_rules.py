@@ -6,9 +6,10 @@ import pytest
 
 from controllers.pid import pid, standard_form
 from controllers.rules import FOTD, RULES, amigo_pi, amigo_pid, fotd, lambda_pi, relative_gains, simc_pi
+from workbench.basis import CONSTANT
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, OperatingPoint, constant_model
+from workbench.lpv import OperatingPoint, constant_model
 
 
 def model_of(system, dt):

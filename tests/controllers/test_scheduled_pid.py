@@ -12,9 +12,9 @@ from controllers.export import export
 from controllers.pid import pid, standard_form
 from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID
 from plants import WEB_WINDING
+from workbench.basis import PiecewiseLinear, Powers
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import PiecewiseLinear, Powers
 from workbench.physics import stepper
 from workbench.physics.plant import Plant
 from workbench.physics.rest import Start

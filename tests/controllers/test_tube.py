@@ -13,13 +13,14 @@ from controllers.pid import pid
 from controllers.receding import Status, Weights
 from controllers.tables import mpc_matrices
 from controllers.tube import design_tube, predictor_observer
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.intervals.domains.shapes import Box
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +42,7 @@ def channels(names, role):
 def still() -> LPVModel:
     """Three states, two inputs and outputs, around an operating point that is not zero."""
     return LPVModel(
-        "m", DT, channels(NAMES[0], "input"), channels(NAMES[1], "output"), None, np.zeros(2), CONSTANT, (Term(0),), A[None],
+        "m", DT, channels(NAMES[0], "input"), channels(NAMES[1], "output"), (), np.zeros((0, 2)), CONSTANT, (Term(0),), A[None],
         B[None], C[None], np.zeros((1, 2, 2)), OperatingPoint(CONSTANT, u=[U0], y=[Y0]),
         Predictor((A - K @ C)[None], B[None], K[None]), np.diag([0.01, 0.02]),
     )  # fmt: skip

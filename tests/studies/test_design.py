@@ -17,10 +17,11 @@ from plants import WEB_WINDING
 from studies.cli import main
 from studies.design import _limits
 from studies.experiments import plan, web_winding_loops
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.identification.ssm import SSM
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, load_model
+from workbench.lpv import LPVModel, OperatingPoint, Term, load_model
 from workbench.simulation import simulate
 
 pytestmark = pytest.mark.slow
@@ -31,8 +32,8 @@ def turning_model() -> LPVModel:
     A, gains = 0.7 * np.eye(2), (np.array([[20.0, 45.0], [-30.0, 15.0]]), np.array([[45.0, 20.0], [-15.0, 30.0]]))
     return LPVModel(
         "turning", 0.04, (Channel("V1", "V", "input"), Channel("V2", "V", "input")),
-        (Channel("w3", "rad/s", "output"), Channel("theta", "deg", "output")), Channel("r2", "m", "schedule"),
-        np.array([0.011, 0.0264]), PiecewiseLinear((0.011, 0.0264)), (Term(0), Term(1)), np.stack([A, A]),
+        (Channel("w3", "rad/s", "output"), Channel("theta", "deg", "output")), (Channel("r2", "m", "schedule"),),
+        [[0.011, 0.0264]], PiecewiseLinear((0.011, 0.0264)), (Term(0), Term(1)), np.stack([A, A]),
         np.stack([0.3 * G for G in gains]), np.stack([np.eye(2)] * 2), np.zeros((2, 2, 2)),
         OperatingPoint(CONSTANT, u=[[0.3, 2.0]], y=[[100.0, 0.0]]),
     )  # fmt: skip

@@ -9,8 +9,9 @@ from controllers.files import load_controller, save_controller
 from controllers.pid import pid
 from controllers.tube import taken
 from studies.cli import main
+from workbench.basis import CONSTANT
 from workbench.data import Channel, Experiment
-from workbench.lpv import CONSTANT, OperatingPoint, Predictor, constant_model
+from workbench.lpv import OperatingPoint, Predictor, constant_model
 from workbench.readers import write_csv
 
 A, B, C, K = np.array([[0.8, 0.1], [0.0, 0.6]]), np.array([[0.2], [0.4]]), np.array([[1.0, 0.2]]), np.array([[0.2], [0.1]])

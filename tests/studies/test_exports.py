@@ -16,7 +16,7 @@ from controllers.scheduled_pid import ScheduledPID
 from plants import WELDING_ROBOT
 from studies.cli import main
 from tests.controllers.test_mpc import lpv
-from workbench.lpv import Gaussian, PiecewiseLinear
+from workbench.basis import Gaussian, PiecewiseLinear
 
 
 @pytest.fixture

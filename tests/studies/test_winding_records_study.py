@@ -82,7 +82,8 @@ def side(own, causes=(), *, change=-0.1, limits=(), acts=None, finding=None):
 
 
 def small_model():
-    from workbench.lpv import CONSTANT, OperatingPoint, constant_model
+    from workbench.basis import CONSTANT
+    from workbench.lpv import OperatingPoint, constant_model
 
     random = np.random.default_rng(1)
     matrices = [0.3 * random.standard_normal(shape) for shape in ((2, 2), (2, 5), (2, 2), (2, 5))]

@@ -3,9 +3,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from workbench.basis import CONSTANT, Gaussian, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.identification.ssm import SSM
-from workbench.lpv import CONSTANT, Gaussian, LPVModel, OperatingPoint, Powers, Term, load_model
+from workbench.lpv import LPVModel, OperatingPoint, Term, load_model
 from workbench.physics.controller import Playback
 from workbench.physics.effects.effect import Port
 from workbench.physics.plant import Plant
@@ -37,7 +38,7 @@ def bump(centres, **options):
     A = np.array([[[0.7]], [[0.0]], [[0.5]]])
     zero = np.zeros((3, 1, 1))
     return LPVModel(
-        "bump", 0.1, (Channel("u"),), (Channel("y"),), Channel("p"), np.array([centres[0] - 1, centres[0] + 1]),
+        "bump", 0.1, (Channel("u"),), (Channel("y"),), (Channel("p"),), [[centres[0] - 1, centres[0] + 1]],
         Gaussian(centres, np.full(2, 20.0), with_constant=True), (Term(0), Term(1), Term(2)), A, zero, zero + 1.0, zero,
         OperatingPoint(CONSTANT, np.zeros((1, 1)), np.zeros((1, 1))), **options,
     )  # fmt: skip

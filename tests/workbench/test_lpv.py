@@ -9,20 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from workbench.basis import CONSTANT, Gaussian, PiecewiseLinear, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.lpv import (
-    CONSTANT,
-    Gaussian,
-    LPVModel,
-    OperatingPoint,
-    PiecewiseLinear,
-    Powers,
-    Predictor,
-    Term,
-    constant_model,
-    load_model,
-)
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term, constant_model, load_model
 
 # ---- basis functions ----------------------------------------------------------------------------------------------
 
@@ -80,7 +70,7 @@ def scheduled(seed=0, delays=(0, 0, 3), predictor=True):
     F, G = draw(nx, nx), draw(nx, nu)
     point = OperatingPoint(Powers([0, 1]), random.standard_normal((2, nu)), random.standard_normal((2, ny)))
     return LPVModel(
-        "all", 0.1, INPUTS, OUTPUTS, SCHEDULE, np.array([0.5, 2.0]), Powers([0, 1, -1]),
+        "all", 0.1, INPUTS, OUTPUTS, (SCHEDULE,), [[0.5, 2.0]], Powers([0, 1, -1]),
         tuple(Term(j, d) for j, d in enumerate(delays)), A, B, C, D, point,
         predictor=Predictor(F, G, K, warmup=5) if predictor else None, noise=np.eye(2), notes=("a note",),
     )  # fmt: skip
@@ -249,7 +239,7 @@ def test_another_sample_time_and_unknown_channels_are_refused():
     with pytest.raises(InputError, match="sample time"):
         model.simulate(dataclasses.replace(e, dt=0.2))
     with pytest.raises(InputError, match="p2"):
-        dataclasses.replace(model, schedule=Channel("p2")).simulate(e)
+        dataclasses.replace(model, schedules=(Channel("p2"),)).simulate(e)
     with pytest.raises(InputError, match="terms"):
         dataclasses.replace(model, terms=(Term(0),))
 

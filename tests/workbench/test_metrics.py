@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from workbench.basis import CONSTANT
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, OperatingPoint, Predictor, constant_model
+from workbench.lpv import OperatingPoint, Predictor, constant_model
 from workbench.metrics import fit, noise_ceiling, rm, rmse, score, to_json, tracking
 
 

@@ -11,20 +11,10 @@ from controllers.observer import design_observer
 from controllers.pid import pid
 from controllers.rules import fotd
 from workbench.answers.check import check
+from workbench.basis import CONSTANT, Gaussian, PiecewiseLinear, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.lpv import (
-    CONSTANT,
-    Gaussian,
-    LPVModel,
-    OperatingPoint,
-    PiecewiseLinear,
-    Powers,
-    Predictor,
-    Term,
-    constant_model,
-    load_model,
-)
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term, constant_model, load_model
 from workbench.physics.identified import identified
 from workbench.quasi_lpv import OwnRuns, equilibrium
 from workbench.rehearsal import rehearsal
@@ -53,7 +43,7 @@ def drawn(basis, seed=0) -> LPVModel:
     y0 = [[1.2, 0.0], [0.1, 0.2], [-0.1, 0.1]] if powers else [[1.2, 0.0], [1.3, 0.2], [1.1, 0.1]]
     point = OperatingPoint(basis, 0.1 * random.normal(size=(3, 2)), np.array(y0))
     return LPVModel(
-        "own", 0.1, U, (dataclasses.replace(LEVEL, role="output"), OTHER), LEVEL, np.array([0.0, 3.0]), basis, terms,
+        "own", 0.1, U, (dataclasses.replace(LEVEL, role="output"), OTHER), (LEVEL,), [[0.0, 3.0]], basis, terms,
         A, B, C, 0.01 * random.normal(size=(9, 2, 2)), point, Predictor(A, B, K, warmup=WARM),
     )  # fmt: skip
 
@@ -135,7 +125,7 @@ def test_a_prediction_is_a_free_run_from_where_it_begins():
 
 
 def test_the_schedule_of_a_free_run_stays_in_the_span():
-    model = dataclasses.replace(drawn(BASES["powers"]), span=np.array([1.4, 1.5]))
+    model = dataclasses.replace(drawn(BASES["powers"]), spans=[[1.4, 1.5]])
     e = record()
     x = model._states(*[a[:WARM] for a in model.deviations(e)])[-1]
     expected = written_out(model, e[["u1", "u2"]][WARM:], x, np.clip(e["level"][WARM - 1 :: -1], 1.4, 1.5))
@@ -173,8 +163,8 @@ def test_slopes_are_differences(basis):
 def square_root_tank(dt=0.2) -> LPVModel:
     """h+ = h + dt (u - sqrt(h)) as a quasi-LPV model: h+ = (1 - dt h^-1/2) h + dt u."""
     return LPVModel(
-        "tank", dt, (Channel("u", "", "input"),), (Channel("h", "m", "output"),), Channel("h", "m", "scheduled output"),
-        np.array([0.1, 2.0]), Powers([0.0, -0.5], scale=1.0), (Term(0), Term(1)), np.array([[[1.0]], [[-dt]]]),
+        "tank", dt, (Channel("u", "", "input"),), (Channel("h", "m", "output"),), (Channel("h", "m", "scheduled output"),),
+        [[0.1, 2.0]], Powers([0.0, -0.5], scale=1.0), (Term(0), Term(1)), np.array([[[1.0]], [[-dt]]]),
         np.array([[[dt]], [[0.0]]]), np.array([[[1.0]], [[0.0]]]), np.zeros((2, 1, 1)),
         OperatingPoint(CONSTANT, np.zeros((1, 1)), np.zeros((1, 1))),
         Predictor(np.zeros((2, 1, 1)), np.array([[[dt]], [[0.0]]]), np.array([[[1.0]], [[-dt]]]), warmup=1), np.eye(1),
@@ -239,14 +229,14 @@ def test_the_file_says_in_the_schedule_channel_that_it_is_an_output(tmp_path):
 
 
 def test_a_schedule_with_the_old_role_is_a_signal_from_outside_as_before():
-    model = dataclasses.replace(drawn(BASES["gaussian"]), schedule=dataclasses.replace(LEVEL, role="schedule"))
+    model = dataclasses.replace(drawn(BASES["gaussian"]), schedules=(dataclasses.replace(LEVEL, role="schedule"),))
     assert model.scheduled_output is None
     np.testing.assert_array_equal(model.linearise(1.3)[0], model.freeze(1.3)[0])
 
 
 def test_a_scheduled_output_is_an_output():
     with pytest.raises(InputError, match="channel h2: is a scheduled output and no output"):
-        dataclasses.replace(square_root_tank(), schedule=Channel("h2", "m", "scheduled output"))
+        dataclasses.replace(square_root_tank(), schedules=(Channel("h2", "m", "scheduled output"),))
 
 
 # ---- what takes a schedule for a signal from outside refuses it ---------------------------------------------------------

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest, norm
 
+from workbench.basis import CONSTANT
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, OperatingPoint, Predictor, constant_model
+from workbench.lpv import OperatingPoint, Predictor, constant_model
 from workbench.residuals import ResidualTest, residual_test
 
 POLE, GAIN, KALMAN = 0.9, 0.5, 0.4

@@ -19,14 +19,15 @@ from workbench.residuals import residual_test
 
 def traces(e: Experiment, models: Mapping[str, LPVModel], output: str) -> Picture:
     """One output of a record, measured and simulated by each model (free run), with the error and the schedule."""
-    simulated, schedule = {}, None
+    simulated: dict[str, np.ndarray] = {}
+    schedules: dict[str, figures.Trace] = {}
     for name, model in models.items():
         run = model.simulate(e)[:, [c.name for c in model.outputs].index(output)]
         run[: model.warmup] = np.nan  # the initial state is found there
         simulated[name] = run
-        if model.schedule:
-            schedule = figures.Trace(e.channel(model.schedule.name), e[model.schedule.name])
-    return figures.measured_and_simulated(e.name, e.t, figures.Trace(e.channel(output), e[output]), simulated, schedule)
+        schedules |= {c.name: figures.Trace(e.channel(c.name), e[c.name]) for c in model.schedules}
+    measured = figures.Trace(e.channel(output), e[output])
+    return figures.measured_and_simulated(e.name, e.t, measured, simulated, tuple(schedules.values()))
 
 
 def residual_table(models: Mapping[str, LPVModel], records: Iterable[Experiment], *, closed_loop: bool | None = None) -> Table:

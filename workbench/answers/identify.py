@@ -5,7 +5,7 @@ found.model, found.scores
 found.save("runs/monday")               # ssm.json, scores.json, report.html
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ from workbench.answers.envelopes import Method as IntervalMethod
 from workbench.answers.envelopes import described_modes, fit_outputs
 from workbench.answers.objections import above_floor, refereed
 from workbench.answers.scored import ScoredModel, scores_file
-from workbench.data import Dataset, check_held_out
+from workbench.data import Channel, Dataset, check_held_out
 from workbench.decimation import thinned
 from workbench.errors import InputError, check_known
 from workbench.files import write_json
 from workbench.identification import METHODS
 from workbench.identification.criterion import ByCriterion
+from workbench.identification.schedules import schedules_of
 from workbench.identification.selection import Choice, Method, choose
 from workbench.intervals.coverage import cover
 from workbench.intervals.model import IntervalModel
@@ -44,8 +45,9 @@ def identify(
 ) -> "IdentificationResult":  # fmt: skip
     """LPV models of the outputs of `records` from their inputs over their schedule, scored on `held_out` records.
 
-    methods: names ("lti", "ilm", "ssm", "oe"), or methods by name such as {"ssm": SSM(order=3)}; default all. best: only the one
-    of them that runs best on parts of `records` that it was not fitted to; default where no methods are named, otherwise each is
+    methods: names ("lti", "ilm", "ssm", "oe", "lpv-oe"), or methods by name such as {"ssm": SSM(order=3)}; default all, for one
+    schedule variable without the last. best: only the one of them that runs best on parts of `records` that it was not fitted to;
+    default where no methods are named, otherwise each is
     fitted. criterion: "prediction" as the methods do, "simulation" with every model refined by the error of its free runs, "best"
     where that runs better on parts of `records` (see `ByCriterion`). interval: an interval method that is fitted beside them.
     dt [s]: sample time to bring the records to. horizon: steps of the k-step prediction that is scored. accept: hand out models
@@ -177,12 +179,14 @@ def scores_of(
     if held_out:
         scores += score(model, held_out, "held-out", horizons)
         for e in held_out:
-            if model.schedule and (beyond := model.outside(e[model.schedule.name])) > MUCH:
-                warnings.append(
-                    f"warning: {model.name} on {e.name}: {model.schedule.name} leaves the range the model knows, "
-                    f"{model.span[0]:g} to {model.span[1]:g} {model.schedule.unit}, by {100 * beyond:.0f} % of it; "
-                    "there the model holds its edge value"
-                )
+            for schedule, (low, high) in zip(model.schedules, model.spans, strict=True):
+                beyond = max(low - e[schedule.name].min(), e[schedule.name].max() - high) / ((high - low) or 1.0)
+                if beyond > MUCH:
+                    how = f"follows its polynomials up to {100 * model.reach:.0f} %" if model.reach else "holds its edge value"
+                    warnings.append(
+                        f"warning: {model.name} on {e.name}: {schedule.name} leaves the range the model knows, "
+                        f"{low:g} to {high:g} {schedule.unit}, by {100 * beyond:.0f} % of it; there the model {how}"
+                    )
     return scores, warnings
 
 
@@ -202,7 +206,7 @@ def prepared(own: Dataset, held_out: Dataset | None, dt: float | None) -> Record
 
 
 def check_roles(records: Dataset) -> None:
-    """Raises InputError where the records lack an input or an output, or have several schedules."""
+    """Raises InputError where the records lack an input or an output, or have schedules that no method takes."""
     first = records.experiments[0]
     for found, role, option in (
         (first.names_of("input"), "input", "--inputs"),
@@ -211,22 +215,32 @@ def check_roles(records: Dataset) -> None:
         if not found:
             mend = f"give {option}, in Python read(.., {role}s=..)"
             raise InputError(f"no {role} channel among {', '.join(first.names)}", file=first.name, mend=mend)
-    if len(first.names_of("schedule")) > 1:
-        several = ", ".join(first.names_of("schedule"))
-        mend = "give --schedule one of them, in Python read(.., schedule=..)"
-        raise InputError("several scheduling channels", file=first.name, channel=several, mend=mend)
+    schedules_of(first)
 
 
 def _possible(methods: Mapping[str, Method], records: Dataset, progress: Progress) -> dict[str, Method]:
-    """Those methods that these records have the channels for: interpolated local models need a schedule."""
+    """Those methods that these records have the schedules for; of all methods not those that take minutes for what others do."""
     first = records.experiments[0]
-    if first.names_of("schedule") or "ilm" not in methods:
-        return dict(methods)
-    if len(methods) == 1:
-        mend = "give --schedule, in Python read(.., schedule=..)"
-        raise InputError("ilm needs a scheduling channel", file=first.name, mend=mend)
-    progress("ilm: skipped, it needs a schedule")
-    return {name: method for name, method in methods.items() if name != "ilm"}
+    skipped = dict(_unfit(schedules_of(first)))
+    if len(methods) == 1 and (name := next(iter(methods))) in skipped:
+        mend = "give --schedule, in Python read(.., schedule=..), or take another method"
+        raise InputError(f"{name} {skipped[name]}", file=first.name, mend=mend)
+    if set(methods) == set(METHODS) and len(first.names_of("schedule")) == 1:
+        skipped.setdefault("lpv-oe", "takes minutes, and for one schedule it is tried where it is asked for by name")
+    for name in methods:
+        if name in skipped:
+            progress(f"{name}: skipped, it {skipped[name]}")
+    return {name: method for name, method in methods.items() if name not in skipped}
+
+
+def _unfit(schedules: Sequence[Channel]) -> Iterator[tuple[str, str]]:
+    """Methods that cannot take these schedules, and why."""
+    if not schedules:
+        yield from ((name, "needs a scheduling channel") for name in ("ilm", "lpv-oe"))
+    elif len(schedules) > 1:
+        yield "ilm", f"takes one scheduling channel, these are {len(schedules)}"
+    elif schedules[0].has_role("output"):
+        yield "lpv-oe", "follows a schedule from outside, this one is an output"
 
 
 def _fitted(

@@ -12,7 +12,9 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.errors import check_known
+from workbench.identification.output_error.method import OutputError
 from workbench.identification.output_error.refine import refined, work
+from workbench.identification.output_error.state_space import LPVOutputError
 from workbench.identification.selection import Method, parts
 from workbench.lpv import LPVModel
 from workbench.metrics import score
@@ -21,6 +23,7 @@ from workbench.records import record
 Criterion = Literal["best", "prediction", "simulation"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 MOST = 1e9  # multiplications of one pass along the records, some seconds: beyond that a refinement must be asked for
+BY_FREE_RUNS = (OutputError, LPVOutputError)  # methods whose criterion is that already
 BETTER = 0.5  # points of FIT on the parts: what a refinement must gain
 
 
@@ -44,6 +47,8 @@ class ByCriterion:
         """The model of the method, refined or not; its notes say so."""
         own: Method = self.method
         model = own.fit(dataset)
+        if isinstance(own, BY_FREE_RUNS):
+            return model
         if self.criterion == "prediction" or (self.criterion == "best" and not _pays(model, dataset)):
             return model
         better = refined(model, dataset)

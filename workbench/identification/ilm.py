@@ -18,11 +18,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from workbench.basis import Gaussian, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.lti import TIE, mean_fit
 from workbench.identification.subspace import N4SID, PBSID, Subspace, channels_of
-from workbench.lpv import Estimate, Gaussian, LPVModel, OperatingPoint, Powers, Predictor, Term
+from workbench.lpv import Estimate, LPVModel, OperatingPoint, Predictor, Term
 from workbench.metrics import fit
 from workbench.quasi_lpv import coupling_notes
 from workbench.records import field, record
@@ -410,7 +411,7 @@ def _assemble(options: ILM, blend: _Blend) -> LPVModel:
         D[i] = blend.alpha[i][:, None] * m.D
     late = 0 if task.scheduled_output is None else 1  # what the output equation reads is known before its sample
     return LPVModel(
-        options.name, task.dataset.dt, task.inputs, task.outputs, task.schedule, task.span,
+        options.name, task.dataset.dt, task.inputs, task.outputs, (task.schedule,), task.span[None],
         dataclasses.replace(blend.basis, with_constant=True), (*(Term(i, late) for i in range(last)), Term(last)), A, B, C, D,
         task.point if task.scheduled_output is None else _blended_point(blend),
     )  # fmt: skip

@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.advice import feedback
+from workbench.basis import CONSTANT
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
 from workbench.identification.subspace import N4SID, PBSID, PredictorEstimate, Subspace, predictor_estimate, resampled
-from workbench.lpv import CONSTANT, Estimate, LPVModel, OperatingPoint, Predictor, constant_model
+from workbench.lpv import Estimate, LPVModel, OperatingPoint, Predictor, constant_model
 from workbench.metrics import score
 from workbench.records import field, record
 

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from workbench.basis import CONSTANT, PiecewiseLinear, Powers
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import as_read
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import CONSTANT, LPVModel, PiecewiseLinear, Powers
+from workbench.lpv import LPVModel
 from workbench.physics.controller import content_of, law_of
 from workbench.physics.plant import Plant
 from workbench.progress import Progress, silent

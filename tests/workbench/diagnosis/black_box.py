@@ -5,8 +5,9 @@ x+ = A(rho) x + B(rho) (u - u0) + K e, y = C(rho) x + D (u - u0) + y0 + e, sched
 
 import numpy as np
 
+from workbench.basis import Powers
 from workbench.data import Channel, Dataset, Experiment
-from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 from workbench.physics.identified import identified
 
 DT, SPREAD = 0.1, 0.02
@@ -26,7 +27,7 @@ def black_box() -> LPVModel:
     point = OperatingPoint(Powers([0.0]), np.array([[0.2, -0.1]]), np.array([[3.0]]))
     terms, span = (Term(0), Term(1), Term(1, 1)), np.array([0.05, 0.15])
     return LPVModel(
-        "SSM", DT, (V1, V2), (W,), R, span, Powers([0.0, 1.0]), terms, A, B, C, D, point,
+        "SSM", DT, (V1, V2), (W,), (R,), span[None], Powers([0.0, 1.0]), terms, A, B, C, D, point,
         predictor=Predictor(F, G, K, warmup=10), noise=np.array([[SPREAD**2]]),
     )  # fmt: skip
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from workbench.basis import Powers
 from workbench.data import Dataset, Experiment
 from workbench.identification.feedthrough import acts_at_once
 from workbench.identification.lti import LTI
 from workbench.identification.ssm import SSM
-from workbench.lpv import Powers
 
 
 def experiment(seed, D, *, feedback=0.0, logged=False, noise=0.1, N=1500, schedule=False):

@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from workbench.basis import CONSTANT, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.criterion import ByCriterion
@@ -16,7 +17,7 @@ from workbench.identification.output_error.free_numbers import FreeNumbers
 from workbench.identification.output_error.method import OutputError
 from workbench.identification.output_error.refine import Runs, frozen, refined
 from workbench.identification.ssm import SSM
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, Powers, Predictor, Term, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term, constant_model
 from workbench.metrics import score
 from workbench.sources import read
 
@@ -31,7 +32,7 @@ def drawn(seed: int) -> tuple[LPVModel, Dataset]:
     B, C, D = random.normal(size=(3, 3, 2)), random.normal(size=(3, 2, 3)), 0.1 * random.normal(size=(3, 2, 2))
     K = np.concatenate([0.1 * random.normal(size=(1, 3, 2)), np.zeros((2, 3, 2))])
     model = LPVModel(
-        "drawn", 0.1, (Channel("u1"), Channel("u2")), (Channel("y1"), Channel("y2")), Channel("p"), np.array([-1.0, 1.0]),
+        "drawn", 0.1, (Channel("u1"), Channel("u2")), (Channel("y1"), Channel("y2")), (Channel("p"),), [[-1.0, 1.0]],
         Powers(np.array([0.0, 1.0])), (Term(0), Term(1), Term(1, 2)), A, B, C, D,
         OperatingPoint(CONSTANT, np.array([[0.1, 0.2]]), np.array([[1.0, -1.0]])),
         Predictor(A - K[0] @ C, B - K[0] @ D, K, 5),
@@ -49,7 +50,7 @@ def drawn(seed: int) -> tuple[LPVModel, Dataset]:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("kind", [FreeNumbers.of, FreeNumbers.of_gain])
+@pytest.mark.parametrize("kind", [FreeNumbers.of, FreeNumbers.of_gain, lambda model: FreeNumbers.all_of(model, direct=True)])
 def test_slopes_are_those_of_the_cost(kind, share):
     """J'e of every free number and of every start against central differences of the sum of squares."""
     model, records = drawn(1)

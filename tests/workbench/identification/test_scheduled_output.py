@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from workbench.basis import PiecewiseLinear, Powers
 from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification import METHODS
@@ -22,7 +23,7 @@ from workbench.identification.lti import LTI
 from workbench.identification.selection import choose
 from workbench.identification.ssm import SSM, ScheduledMean
 from workbench.intervals.regression import BySchedule, IntervalRegression, OneMode
-from workbench.lpv import PiecewiseLinear, Powers, load_model
+from workbench.lpv import load_model
 from workbench.metrics import fit, score
 from workbench.sources import read
 
@@ -172,7 +173,7 @@ def test_ilm_chooses_by_the_free_run_along_its_own_output():
     model = fitted(tank, method)
     data = Dataset((tank(1), tank(2)))
     best = max(method.candidates(data), key=lambda c: c.FIT)
-    outside = dataclasses.replace(model, schedule=dataclasses.replace(model.schedule, role="schedule"))
+    outside = dataclasses.replace(model, schedules=(dataclasses.replace(model.schedule, role="schedule"),))
     own, given = (np.mean([s.FIT for s in score(m, data, "estimation", ["free-run"])]) for m in (model, outside))
     assert pytest.approx(own, abs=1e-6) == best.FIT
     assert abs(given - own) > 0.1  # that of a run along the measured level is another one

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from workbench.basis import Gaussian, PiecewiseLinear, Powers
 from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.sparse import L2, LInf
 from workbench.identification.ssm import SSM, FittedZero, Plain, RawSignals, ScheduledMean, UnitColumns
-from workbench.lpv import Gaussian, PiecewiseLinear, Powers, load_model
+from workbench.lpv import load_model
 from workbench.metrics import score
 
 BOTH = pytest.mark.parametrize("bound", [L2(), LInf()], ids=["l2", "linf"])

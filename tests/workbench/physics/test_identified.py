@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.workbench.diagnosis.black_box import DT, MODEL, PLANT, V1, V2, R, W, records
+from workbench.basis import CONSTANT, Gaussian, PiecewiseLinear, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.predictor import Noise, predictor
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, Gaussian, LPVModel, OperatingPoint, PiecewiseLinear, Powers, Term, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Term, constant_model
 from workbench.physics.controller import Playback
 from workbench.physics.extension import extension, load_extension
 from workbench.physics.identified import identified
@@ -37,7 +38,10 @@ def any_model(basis, delays=(0, 2), schedule=R) -> LPVModel:
     own = {key: 0.2 * random.standard_normal((len(terms), *shape)) for key, shape in shapes.items()}
     point = OperatingPoint(basis, random.standard_normal((m, 2)), random.standard_normal((m, 2)))
     outputs = (W, Channel("T", "N", "output"))
-    return LPVModel("SSM", DT, (V1, V2), outputs, schedule, np.array([0.05, 0.15]), basis, terms, **own, operating_point=point)
+    spans = [[0.05, 0.15]] if schedule else np.zeros((0, 2))
+    return LPVModel(
+        "SSM", DT, (V1, V2), outputs, (schedule,) if schedule else (), spans, basis, terms, **own, operating_point=point,
+    )  # fmt: skip
 
 
 def stepped(model: LPVModel, e: Experiment) -> np.ndarray:
@@ -70,7 +74,7 @@ def test_a_schedule_that_is_an_input_needs_no_channel_of_its_own():
     model = any_model(BASES[3], schedule=V1)
     plant = identified(model)
     assert plant.input_names == plant.commanded == ("V1", "V2")
-    model = replace(any_model(BASES[3], delays=(0,), schedule=V1), span=np.array([-0.5, 0.5]))
+    model = replace(any_model(BASES[3], delays=(0,), schedule=V1), spans=[[-0.5, 0.5]])
     e = replace(RECORD, channels=(*RECORD.channels, Channel("T", "N", "output")), values=RECORD.values[:, [0, 1, 2, 3, 2]])
     assert stepped(model, e) == pytest.approx(model.simulate(e, warmup=0), rel=1e-12, abs=1e-12)
 
@@ -176,7 +180,7 @@ def test_the_plant_states_the_spread_of_the_one_step_error():
 
 def test_a_schedule_that_is_an_output_is_refused():
     with pytest.raises(InputError, match="schedule and output"):
-        identified(replace(MODEL, schedule=W))
+        identified(replace(MODEL, schedules=(W,)))
 
 
 def test_a_record_without_the_schedule_is_refused():

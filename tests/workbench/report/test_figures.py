@@ -49,7 +49,7 @@ def assert_shows(drawn: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def record_picture(**simulated: np.ndarray) -> Picture:
-    return figures.measured_and_simulated("prbs1", T, Trace(W3, Y), simulated, Trace(Channel("r2", "m"), 0.01 + T / 100))
+    return figures.measured_and_simulated("prbs1", T, Trace(W3, Y), simulated, [Trace(Channel("r2", "m"), 0.01 + T / 100)])
 
 
 def test_measured_simulated_and_error_are_on_the_page_with_one_scale_each():

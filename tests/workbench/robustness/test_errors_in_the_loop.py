@@ -5,10 +5,11 @@ import pytest
 
 from controllers.pid import pid
 from tests.workbench.robustness.loops import DT
+from workbench.basis import Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.intervals.errors import ErrorRegression, one_step_errors
-from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 from workbench.robustness.envelopes.course import nominal, replay
 from workbench.robustness.loop import close, course, driven
 from workbench.robustness.machine import machine_with_errors, machines_along
@@ -30,7 +31,7 @@ def lpv(seed=0) -> LPVModel:
     A = F  # what a simulation would use plays no part here
     return LPVModel(
         "drawn", DT, tuple(Channel(n, "V", "input") for n in ("u1", "u2", "u3")),
-        tuple(Channel(n, "m", "output") for n in ("y1", "y2")), Channel("rho", "m", "schedule"), (0.0, 1.0), basis, TERMS,
+        tuple(Channel(n, "m", "output") for n in ("y1", "y2")), (Channel("rho", "m", "schedule"),), [[0.0, 1.0]], basis, TERMS,
         A, G, C, np.zeros((nt, ny, nu)), point, Predictor(F, G, K, 5),
     )  # fmt: skip
 

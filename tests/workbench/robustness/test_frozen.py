@@ -9,9 +9,10 @@ from scipy.signal import cont2discrete
 from controllers.pid import pid
 from controllers.pid_design import design_pid
 from tests.controllers.test_pid_design import DT, TURNED, machine
+from workbench.basis import CONSTANT
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import CONSTANT, OperatingPoint, constant_model
+from workbench.lpv import OperatingPoint, constant_model
 from workbench.robustness.frozen import PEAKS, Bounds, closed_loop, loops_of, margins_of
 
 BOUNDS = Bounds(1.5, 1.4, 4.0)

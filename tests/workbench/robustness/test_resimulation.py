@@ -13,6 +13,7 @@ import pytest
 from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
 from tests.workbench.robustness.loops import model as arx_model
+from workbench.basis import Powers
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.intervals.domains.shapes import Box
@@ -20,7 +21,7 @@ from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import ARX, FIR
 from workbench.intervals.semantics import ParameterBox
-from workbench.lpv import LPVModel, OperatingPoint, Powers, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 from workbench.robustness.envelopes.course import Course
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.loop import course, course_of, driven, with_rates
@@ -261,7 +262,7 @@ def drawn_predicted(random) -> tuple:
     outputs, inputs = (tuple(f"{name}{i}" for i in range(size)) for name in "yu")
     known = LPVModel(
         "drawn", DT, tuple(Channel(u, "", "input") for u in inputs), tuple(Channel(y, "", "output") for y in outputs),
-        Channel("rho", "", "schedule"), (0.0, 1.0), AFFINE, (Term(0), Term(1)),
+        (Channel("rho", "", "schedule"),), [[0.0, 1.0]], AFFINE, (Term(0), Term(1)),
         matrices[0], matrices[1], matrices[3], np.zeros((2, size, size)), OperatingPoint(AFFINE, point[1], point[0]),
         Predictor(*matrices[:3], 5),
     )  # fmt: skip

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from controllers.pid import pid
+from workbench.basis import CONSTANT, Powers
 from workbench.data import Channel
 from workbench.intervals.domains.shapes import Box
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, Powers, Predictor, Term
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 from workbench.robustness.envelopes.course import nominal
 from workbench.robustness.limits import Limit
 from workbench.robustness.loop import course, course_of, driven, with_rates
@@ -31,8 +32,8 @@ def scheduled(exponents=(0.0, 1.0), terms=BOTH, slope=0.1) -> LPVModel:
     K, C = np.array([[[0.1]], [[0.0]]]), np.array([[[1.0]], [[0.0]]])
     point = OperatingPoint(CONSTANT, np.zeros((1, 1)), np.zeros((1, 1)))
     return LPVModel(
-        "scheduled", DT, (Channel("u", "V", "input"),), (Channel("y", "m", "output"),), Channel("rho", "m", "schedule"),
-        (0.0, 1.0), Powers(exponents), terms, F + K @ C, G, C, np.zeros((2, 1, 1)), point, Predictor(F, G, K, 5),
+        "scheduled", DT, (Channel("u", "V", "input"),), (Channel("y", "m", "output"),), (Channel("rho", "m", "schedule"),),
+        [[0.0, 1.0]], Powers(exponents), terms, F + K @ C, G, C, np.zeros((2, 1, 1)), point, Predictor(F, G, K, 5),
     )  # fmt: skip
 
 

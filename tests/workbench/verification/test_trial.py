@@ -13,8 +13,9 @@ from controllers.pid import pid
 from controllers.pid_design import design_pid
 from studies.cli import main
 from tests.controllers.test_pid_design import machine
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, PiecewiseLinear, Term, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Term, constant_model
 from workbench.physics.plant import Plant
 from workbench.physics.rest import Start
 from workbench.verification.trial import along, followed, on_model, on_plant
@@ -54,8 +55,8 @@ def arm_model() -> LPVModel:
     basis, m = PiecewiseLinear(tuple(knots)), len(knots)
     point = OperatingPoint(basis, u=(WEIGHT / GAIN * np.sin(knots * DEG))[:, None], y=knots[:, None])
     return LPVModel(
-        "arm-model", DT, (Channel("v", "V", "input"),), (Channel("theta", "deg", "output"),), Channel("theta", "deg", "schedule"),
-        np.array([5.0, 70.0]), basis, tuple(Term(j) for j in range(m)), np.array(A), np.array(B),
+        "arm-model", DT, (Channel("v", "V", "input"),), (Channel("theta", "deg", "output"),),
+        (Channel("theta", "deg", "schedule"),), [[5.0, 70.0]], basis, tuple(Term(j) for j in range(m)), np.array(A), np.array(B),
         np.tile([[[1.0, 0.0, 0.0]]], (m, 1, 1)), np.zeros((m, 1, 1)), point,
     )  # fmt: skip
 

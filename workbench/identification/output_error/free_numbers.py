@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from workbench.identification.output_error.passes import IN_A, IN_B, IN_C, IN_D, IN_GAIN, IN_OFFSET
+from workbench.identification.output_error.passes import IN_A, IN_B, IN_C, IN_D, IN_GAIN, IN_OFFSET, IN_ZERO
 from workbench.lpv import LPVModel, OperatingPoint, Predictor
 from workbench.records import record
 
@@ -32,6 +32,15 @@ class FreeNumbers:
         return cls(model, np.array(found, dtype=np.int64).reshape(-1, 4))
 
     @classmethod
+    def all_of(cls, model: LPVModel, *, direct: bool) -> "FreeNumbers":
+        """Every entry of A, B and C, with `direct` of D, and of the operating point's inputs and outputs."""
+        kinds = [(IN_A, model.A), (IN_B, model.B), (IN_C, model.C), *([(IN_D, model.D)] if direct else [])]
+        found = [(kind, *place) for kind, M in kinds for place in np.ndindex(M.shape)]
+        found += [(IN_OFFSET, j, r, 0) for j, r in np.ndindex(model.operating_point.y.shape)]
+        found += [(IN_ZERO, j, 0, c) for j, c in np.ndindex(model.operating_point.u.shape)]
+        return cls(model, np.array(found, dtype=np.int64))
+
+    @classmethod
     def of_gain(cls, model: LPVModel) -> "FreeNumbers":
         """Entries of a gain K that is the same at every schedule value; what only shifts a delayed input is known without."""
         ny, unknown = len(model.outputs), np.flatnonzero(((model.A != 0.0) & (model.A != 1.0)).any(axis=(0, 2)))
@@ -56,21 +65,21 @@ class FreeNumbers:
         A, B, C, D = (own[kind] for kind in (IN_A, IN_B, IN_C, IN_D))
         gain, unity = own[IN_GAIN][0], constant_weights(self.model)
         predictor = Predictor(A - gain @ C, B - gain @ D, unity[:, None, None] * gain, self.model.warmup)
-        point = replace(self.model.operating_point, y=own[IN_OFFSET][:, :, 0])
+        point = replace(self.model.operating_point, u=own[IN_ZERO][:, 0], y=own[IN_OFFSET][:, :, 0])
         return replace(self, model=replace(self.model, A=A, B=B, C=C, D=D, operating_point=point, predictor=predictor))
 
     @staticmethod
     def _stored(model: LPVModel) -> dict[int, np.ndarray]:
         point: OperatingPoint = model.operating_point
         return {
-            IN_A: model.A, IN_B: model.B, IN_C: model.C, IN_D: model.D, IN_OFFSET: point.y[:, :, None],
+            IN_A: model.A, IN_B: model.B, IN_C: model.C, IN_D: model.D, IN_OFFSET: point.y[:, :, None], IN_ZERO: point.u[:, None],
             IN_GAIN: constant_gain(model)[None],
         }  # fmt: skip
 
 
 def constant_weights(model: LPVModel) -> np.ndarray:
     """Weights q (nt) with sum_j q_j phi_j(rho(k - d_j)) = 1: terms without a delay; NaN where the basis has no constant."""
-    grid = model.basis(np.linspace(model.span[0], model.span[1], 41))
+    grid = model.basis(model.grid(41))
     now = [j for j, term in enumerate(model.terms) if term.delay == 0]
     phi = grid[:, [model.terms[j].function for j in now]]
     q = np.zeros(len(model.terms))
@@ -83,5 +92,5 @@ def constant_gain(model: LPVModel) -> np.ndarray:
     """K (nx, ny) of the model's predictor in the middle of its span; 0 without one."""
     if model.predictor is None:
         return np.zeros((model.order, len(model.outputs)))
-    middle = np.full(1 + max(term.delay for term in model.terms), model.span.mean())
+    middle = np.stack([model.middle] * (1 + max(term.delay for term in model.terms)))
     return np.tensordot(model.weights(middle)[-1], model.predictor.K, 1)

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from workbench.basis import CONSTANT
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.identification.output_error.first_guess import Guess, Output
 from workbench.identification.output_error.refine import refined
 from workbench.identification.subspace import channels_of
-from workbench.lpv import CONSTANT, LPVModel, OperatingPoint, Predictor, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, constant_model
 from workbench.records import record
 
 SHORTEST = 20  # samples of all records together

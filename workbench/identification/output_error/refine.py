@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.data import Dataset
+from workbench.identification.output_error.fence import Fence
 from workbench.identification.output_error.free_numbers import FreeNumbers, constant_gain, constant_weights
 from workbench.identification.output_error.passes import along
 from workbench.identification.output_error.spread import estimates
@@ -34,7 +35,7 @@ LONGEST = 10  # of a record: the longest warm-up is one by this number
 
 @record
 class Piece:
-    """One record as the model reads it: deviations u (N, nu), outputs y (N, ny) as measured, weights w (N, nt), phi (N, m)."""
+    """One record as the model reads it: u (N, nu) and y (N, ny) as measured, weights w (N, nt), phi (N, m)."""
 
     u: np.ndarray = field("N nu")
     y: np.ndarray = field("N ny")
@@ -43,15 +44,15 @@ class Piece:
 
 
 class Runs:
-    """The records of a data set as a model reads them; its schedule and the zero of its inputs stay."""
+    """The records of a data set as a model reads them; its schedule stays."""
 
     def __init__(self, model: LPVModel, dataset: Dataset):
-        outputs = [c.name for c in model.outputs]
+        inputs, outputs = ([c.name for c in own] for own in (model.inputs, model.outputs))
         self.pieces = []
         for e in dataset:
-            u, _, w, _ = model.deviations(e)
+            *_, w, _ = model.deviations(e)
             phi = model.operating_point.basis(model.schedule_of(e))
-            self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (u, e[outputs], w, phi))))
+            self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (e[inputs], e[outputs], w, phi))))
         spread = np.sqrt(np.mean([np.nanvar(piece.y, axis=0) for piece in self.pieces], axis=0))
         # what is slower than a record is long is an offset that drifts: it is not known, and its gain is any
         self.slowest = float(np.exp(-1.0 / max(len(piece.y) for piece in self.pieces)))
@@ -80,45 +81,64 @@ class Runs:
         piece, model, n = self.pieces[i], own.model, len(own.places) + own.model.order
         e, H, b = np.zeros_like(piece.y), np.zeros((n, n)), np.zeros((-(-len(piece.y) // self.block), n))
         assert model.predictor is not None
-        A, B, C, D, K, y0, w, phi, u, y = (
+        A, B, C, D, K, u0, y0, w, phi, u, y = (
             np.array(M, order="C")  # records are read-only
             for M in (
-                model.A, model.B, model.C, model.D, model.predictor.K, model.operating_point.y,
+                model.A, model.B, model.C, model.D, model.predictor.K, model.operating_point.u, model.operating_point.y,
                 piece.w, piece.phi, piece.u, piece.y,
             )
         )  # fmt: skip
-        along(A, B, C, D, K, y0, w, phi, u, y, share, self.scale, x.copy(), own.places, e, H, b, self.block, slopes)
+        along(A, B, C, D, K, u0, y0, w, phi, u, y, share, self.scale, x.copy(), own.places, e, H, b, self.block, slopes)
         return e, H, b
 
 
-def minimised(own: FreeNumbers, runs: Runs, share: float) -> FreeNumbers:
-    """The free numbers at which runs with this share of the predictor's gain err least, by way of where they stand."""
-    starts = runs.begun(own, share)
-    for _ in range(STEPS):
+def minimised(
+    own: FreeNumbers, runs: Runs, share: float, enough: float = ENOUGH, most: int = STEPS, fence: Fence | None = None
+) -> FreeNumbers:
+    """The free numbers at which runs with this share of the predictor's gain err least, by way of where they stand.
+
+    enough: share of the cost that a step must gain for another one to follow. most: steps. No step leads to a model whose poles
+    are unstable anywhere in its spans; with a fence these are charged for instead, for the model to come back by itself.
+    """
+    starts, damping = runs.begun(own, share), 0
+    for _ in range(most):
         cost, H, b = runs.normal(own, starts, share)
         if not np.isfinite(cost) or not np.isfinite(H).all():
             break
-        better = _better(own, runs, share, starts, (cost, H, b))
+        if fence is not None:
+            P = len(own.places)
+            more, inner, outer = fence.normal(own)
+            cost += more
+            H[0, :P, :P] += inner
+            b[0][0, :P] += outer
+        better = _better(own, runs, share, starts, (cost, H, b), max(damping - 1, 0), fence)
         if better is None:
             break
-        own, starts, now = better
-        if now > (1.0 - ENOUGH) * cost:
+        own, starts, now, damping = better
+        if now > (1.0 - enough) * cost:
             break
     return own
 
 
-def _better(own: FreeNumbers, runs: Runs, share: float, starts: np.ndarray, at) -> tuple[FreeNumbers, np.ndarray, float] | None:
-    """After the least damped of the steps that lower the cost and leave the model stable; None where none does."""
+def _better(
+    own: FreeNumbers, runs: Runs, share: float, starts: np.ndarray, at, first: int, fence: Fence | None
+) -> tuple[FreeNumbers, np.ndarray, float, int] | None:
+    """After the least damped of the steps, from the `first` damping on, that lower the cost and may be taken.
+
+    With its starts, its cost and its damping, by number; None where there is no such step.
+    """
     cost, H, b = at
     P = len(own.places)
-    for damping in DAMPED:
+    for i, damping in enumerate(DAMPED[first:], first):
         theta, x0 = _step(H, b, P, damping)
         moved = own.moved(own.values + theta)
-        if not (np.isfinite(theta).all() and np.isfinite(x0).all()) or not _allowed(moved.model, share, runs.slowest):
+        if not (np.isfinite(theta).all() and np.isfinite(x0).all()):
             continue
-        now = runs.cost(moved.model, starts + x0, share)
+        if fence is None and not allowed(moved.model, share, runs.slowest):
+            continue
+        now = runs.cost(moved.model, starts + x0, share) + (fence.cost(moved.model) if fence is not None else 0.0)
         if now < cost:
-            return moved, starts + x0, now
+            return moved, starts + x0, now, i
     return None
 
 
@@ -143,15 +163,20 @@ def _solved(A: np.ndarray, b: np.ndarray, damping: float) -> np.ndarray:
     return vector @ ((vector.T @ (b / d)) / (np.maximum(value, 0.0) + damping * max(value.max(), 1e-300))) / d
 
 
-def _allowed(model: LPVModel, share: float, slowest: float = 1.0) -> bool:
+def allowed(model: LPVModel, share: float, slowest: float = 1.0) -> bool:
     """Whether the poles of a run with this share of the predictor's gain are below `slowest` at every frozen schedule value."""
     return bool(np.abs(np.linalg.eigvals(frozen(model, share))).max(initial=0.0) < slowest)
 
 
+def stable(model: LPVModel) -> bool:
+    """Whether its poles are inside the unit circle at every frozen schedule value."""
+    return allowed(model, 0.0)
+
+
 def frozen(model: LPVModel, share: float) -> np.ndarray:
-    """A - share K C (GRID, nx, nx) at schedule values over the span that stand still."""
+    """A - share K C (n, nx, nx) at schedule values over the spans that stand still."""
     assert model.predictor is not None
-    phi = model.basis(np.linspace(model.span[0], model.span[1], GRID))[:, [term.function for term in model.terms]]
+    phi = model.basis(model.grid(GRID))[:, [term.function for term in model.terms]]
     return np.tensordot(phi, (1.0 - share) * model.A + share * model.predictor.F, 1)
 
 
@@ -165,13 +190,16 @@ def refined(model: LPVModel, dataset: Dataset) -> LPVModel:
         return model
     runs, own = Runs(model, dataset), FreeNumbers.of(model)
     own = own.moved(own.values)
-    for share in (0.0,) if _allowed(model, 0.0) else (*SHARES, 0.0):
+    for share in (0.0,) if allowed(model, 0.0) else (*SHARES, 0.0):
         own = minimised(own, runs, share)
-    if not _allowed(own.model, 0.0):
-        return model
+    return (finished(own, runs, dataset) if stable(own.model) else None) or model
+
+
+def finished(own: FreeNumbers, runs: Runs, dataset: Dataset) -> LPVModel | None:
+    """The model at a minimum of its free runs, with a predictor, noise and uncertainty; None where a run is lost."""
     cost, H, blocks = runs.normal(own, runs.begun(own, 0.0), 0.0)
     if not (np.isfinite(cost) and np.isfinite(H).all()):
-        return model
+        return None
     predicting = _with_predictor(own.model, runs)
     return replace(predicting, noise=_noise(predicting, dataset), estimates=estimates(own, H, blocks))
 
@@ -195,7 +223,7 @@ def _with_predictor(model: LPVModel, runs: Runs) -> LPVModel:
     gain = FreeNumbers.of_gain(model)
     for K in (constant_gain(model), *_kalman_gains(gain)):
         start = gain.moved(K[gain.places[:, 2], gain.places[:, 3]])
-        if _allowed(start.model, 1.0):
+        if allowed(start.model, 1.0):
             tried.append((runs.cost(start.model, runs.begun(start, 1.0), 1.0), start))
     model = minimised(min(tried, key=lambda pair: pair[0])[1], runs, 1.0).model
     assert model.predictor is not None
@@ -207,7 +235,7 @@ def _kalman_gains(gain: FreeNumbers) -> list[np.ndarray]:
     from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
 
     model = gain.model
-    A, B, C, _ = model.freeze(None if model.schedule is None else float(model.span.mean()))
+    A, B, C, _ = model.freeze(model.middle)
     found = [np.zeros((len(A), len(C)))]
     with warnings.catch_warnings():  # what is inaccurate is a poor start: all of them are judged by their errors
         for kind in (LinAlgWarning, RuntimeWarning):

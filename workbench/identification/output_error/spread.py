@@ -42,10 +42,11 @@ def _features(model: LPVModel) -> tuple[np.ndarray, list[tuple[str, str]]]:
     """Values, and their names and units."""
     values: list[float] = []
     names: list[tuple[str, str]] = []
-    for rho in [None] if model.schedule is None else [*model.span, model.span.mean()]:
+    ends = model.spans.T if len(model.schedules) > 1 else model.spans.ravel()
+    for rho in [*ends, model.middle] if model.schedules else [None]:
         A, B, C, D = model.freeze(rho)
         gain = C @ np.linalg.solve((1.0 + 1e-12) * np.eye(len(A)) - A, B) + D  # an exact integrator gets a huge gain
-        at = "" if model.schedule is None else f" at {model.schedule.name} = {rho:.4g}"
+        at = f" at {model.named(rho)}" if model.schedules else ""
         for y, row in zip(model.outputs, gain, strict=True):
             for u, value in zip(model.inputs, row, strict=True):
                 values.append(float(value))

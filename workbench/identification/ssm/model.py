@@ -28,5 +28,7 @@ def _notes(model: LPVModel, best: Candidate) -> tuple[str, ...]:
 
 def _frozen_notes(model: LPVModel) -> tuple[str, ...]:
     stability = model.stability()
-    place = "" if model.schedule is None else f" at {model.schedule.name} = {stability.at:.4g}"
-    return () if stability.stable else (f"unstable: the frozen model has spectral radius {stability.radius:.4f}{place}",)
+    if stability.stable:
+        return ()
+    place = f" at {model.named(stability.at)}" if model.schedules else ""
+    return (f"unstable: the frozen model has spectral radius {stability.radius:.4f}{place}",)

@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from workbench.basis import CONSTANT, Basis, Powers, constant, polynomials
 from workbench.data import Dataset
 from workbench.errors import InputError
+from workbench.identification.schedules import scheduled
 from workbench.identification.sparse import L2, Bound, LInf
 from workbench.identification.ssm.model import observer_form
 from workbench.identification.ssm.regression import Problem, middle, zero
 from workbench.identification.ssm.sweep import SSMSweep, sweep
-from workbench.lpv import CONSTANT, Basis, LPVModel, OperatingPoint, Powers
+from workbench.lpv import LPVModel, OperatingPoint
 from workbench.records import field, record
 
 # mu "slightly larger than the minimum", [1] section 1.4.3; the largest error of thousands is rarer than their energy says
@@ -45,7 +47,8 @@ class RawSignals:
     def of(self, problem: Problem, dataset: Dataset) -> OperatingPoint:
         del dataset
         names = problem.names
-        return OperatingPoint(CONSTANT, np.zeros((1, len(names.inputs))), np.zeros((1, len(names.outputs))))
+        basis = constant(len(names.schedules))
+        return OperatingPoint(basis, np.zeros((1, len(names.inputs))), np.zeros((1, len(names.outputs))))
 
 
 @record
@@ -80,14 +83,14 @@ class ScheduledMean:
         if problem.own:
             raise InputError(
                 "the mean output at every value of an output is that value: nothing is left to model",
-                channel=names.schedule.name if names.schedule else "",
+                channel=names.schedules[0].name,
                 mend="use FittedZero or RawSignals where the schedule is an output",
             )
-        if names.schedule is None:
-            basis, rho = CONSTANT, np.zeros(sum(len(e) for e in dataset))
+        rho = np.concatenate([scheduled(e, names.schedules) for e in dataset])
+        if len(names.schedules) > 1:
+            basis = polynomials(self.degree, np.maximum(np.abs(problem.spans).max(axis=1), 1e-300))
         else:
-            rho = np.concatenate([e[names.schedule.name] for e in dataset])
-            basis = Powers(np.arange(self.degree + 1.0), middle(rho))
+            basis = Powers(np.arange(self.degree + 1.0), middle(rho)) if names.schedules else CONSTANT
         signals = np.concatenate([e[[c.name for c in names.inputs + names.outputs]] for e in dataset])
         level = np.linalg.lstsq(basis(rho), signals, rcond=None)[0]
         return OperatingPoint(basis, level[:, : len(names.inputs)], level[:, len(names.inputs) :])

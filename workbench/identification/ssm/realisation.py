@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from workbench.basis import Basis, Powers, unity
 from workbench.errors import InputError
 from workbench.identification.ssm.recursion import coefficients
 from workbench.identification.ssm.regression import Problem
-from workbench.lpv import Basis, Gaussian, LPVModel, Powers, Predictor, Term
+from workbench.lpv import LPVModel, Predictor, Term
 
 
 def realised(problem: Problem, theta: np.ndarray, n: int) -> LPVModel:
@@ -23,8 +24,8 @@ def realised(problem: Problem, theta: np.ndarray, n: int) -> LPVModel:
         dt=problem.dt,
         inputs=names.inputs,
         outputs=names.outputs,
-        schedule=names.schedule,
-        span=problem.span,
+        schedules=names.schedules,
+        spans=problem.spans,
         basis=basis,
         terms=terms,
         A=A,
@@ -38,18 +39,13 @@ def realised(problem: Problem, theta: np.ndarray, n: int) -> LPVModel:
 
 def _with_unity(basis: Basis) -> tuple[Basis, np.ndarray]:
     """A basis that can write the constant 1, and the weights (m) with sum_j weight_j phi_j = 1."""
-    if isinstance(basis, Powers):
-        if not np.any(basis.exponents == 0):
-            basis = Powers(np.append(basis.exponents, 0.0), basis.scale)
-        weight = np.zeros(len(basis.exponents))
-        weight[np.flatnonzero(basis.exponents == 0)[0]] = 1.0
-        return basis, weight
-    if isinstance(basis, Gaussian) and not basis.normalised:
-        raise InputError(
-            "plain Gaussian functions do not add up to a constant, which a delay in the model needs",
-            mend="use Gaussian(..., normalised=True), PiecewiseLinear or Powers",
-        )
-    return basis, np.ones(len(basis.names))
+    if isinstance(basis, Powers) and not np.any(basis.exponents == 0):
+        basis = Powers(np.append(basis.exponents, 0.0), basis.scale)
+    weight = unity(basis)
+    if weight is None:
+        problem = "these functions do not add up to a constant, which a delay in the model needs"
+        raise InputError(problem, mend="use Gaussian(..., normalised=True), PiecewiseLinear or Powers, or Products of them")
+    return basis, weight
 
 
 def _realise(theta: np.ndarray, n: int, unity: np.ndarray):

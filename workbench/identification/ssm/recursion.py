@@ -3,6 +3,7 @@
 import numpy as np
 
 from workbench.identification.ssm.regression import Problem, Signals
+from workbench.lpv import lattice
 from workbench.records import field, record
 
 DIVERGED = 1e3  # a free run beyond this many times the measured range has diverged
@@ -26,12 +27,12 @@ def coefficients(theta: np.ndarray, n: int) -> Coefficients:
 
 
 def radius(theta: np.ndarray, n: int, problem: Problem, points: int = 21) -> float:
-    """Largest spectral radius of the frozen recursion over the schedule's span."""
+    """Largest spectral radius of the frozen recursion over the schedule's spans; see `lattice`."""
     f = coefficients(theta, n).f
     ny = f.shape[1]
-    grid = problem.basis(np.linspace(problem.span[0], problem.span[1], points))
-    A = np.zeros((points, n * ny, n * ny))
-    A[:, :, :ny] = np.einsum("iabm,rm->riab", f, grid).reshape(points, n * ny, ny)
+    grid = problem.basis(lattice(problem.spans, points))
+    A = np.zeros((len(grid), n * ny, n * ny))
+    A[:, :, :ny] = np.einsum("iabm,rm->riab", f, grid).reshape(len(grid), n * ny, ny)
     A[:, : (n - 1) * ny, ny:] += np.eye((n - 1) * ny)
     return float(np.abs(np.linalg.eigvals(A)).max())
 

@@ -5,25 +5,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from workbench.basis import CONSTANT, Basis, Powers, Products, polynomials
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
+from workbench.identification.schedules import scheduled, schedules_of, spans_of
 from workbench.identification.sparse import orthonormal_range
 from workbench.identification.subspace import channels_of
-from workbench.lpv import CONSTANT, Basis, OperatingPoint, Powers
+from workbench.lpv import OperatingPoint
 from workbench.records import field, record
 
 if TYPE_CHECKING:
     from workbench.identification.ssm.options import SSM
 
 EXPONENTS = np.array([0.0, 1, 2, 3, 4, -1, -2, -3])  # [1] section 1.4.3
+DEGREES = {2: 4, 3: 3, 4: 2, 5: 2, 6: 1}  # of the polynomials in several schedules: 15, 20, 15, 21, 7 of them
 
 
 @record
 class Names:
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
-    schedule: Channel | None
+    schedules: tuple[Channel, ...]
 
 
 @record
@@ -41,8 +44,8 @@ class Problem:
     def __init__(self, options: "SSM", dataset: Dataset):
         self.options, self.dataset, self.dt = options, dataset, dataset.dt
         self.names = _names(dataset)
-        self.basis, self.span = _basis_and_span(options.basis, dataset, self.names.schedule)
-        self.own = self.names.schedule is not None and self.names.schedule.has_role("output")  # the schedule is an output
+        self.basis, self.spans = _basis_and_spans(options.basis, dataset, self.names.schedules)
+        self.own = any(c.has_role("output") for c in self.names.schedules)  # the schedule is an output
         longest = max(options._orders)
         for e in dataset:
             if len(e) <= 2 * longest:
@@ -54,8 +57,9 @@ class Problem:
 
     def signals_of(self, e: Experiment, point: OperatingPoint) -> Signals:
         """The record in deviations from `point`."""
-        schedule = self.names.schedule
-        rho = np.zeros(len(e)) if schedule is None else np.clip(e[schedule.name], *self.span)
+        rho = scheduled(e, self.names.schedules)
+        if self.names.schedules:
+            rho = np.clip(rho, *np.squeeze(self.spans.T))
         level = point.basis(rho)
         u = e[[c.name for c in self.names.inputs]] - level @ point.u
         y = e[[c.name for c in self.names.outputs]] - level @ point.y
@@ -70,23 +74,31 @@ class Problem:
 def _names(dataset: Dataset) -> Names:
     first = dataset.experiments[0]
     inputs, outputs = channels_of(first)
-    schedule = tuple(first.channel(name) for name in first.names_of("schedule"))
-    if len(schedule) > 1:
-        names = ", ".join(c.name for c in schedule)
-        raise InputError("several schedule channels", file=first.name, channel=names, mend="keep one of them")
-    return Names(inputs, outputs, schedule[0] if schedule else None)
+    return Names(inputs, outputs, schedules_of(first))
 
 
-def _basis_and_span(basis: Basis | None, dataset: Dataset, schedule: Channel | None) -> tuple[Basis, np.ndarray]:
-    if schedule is None:
-        return CONSTANT, np.zeros(2)
-    rho = np.concatenate([e[schedule.name] for e in dataset])
-    span = np.array([rho.min(), rho.max()])
+def _basis_and_spans(basis: Basis | None, dataset: Dataset, schedules: Sequence[Channel]) -> tuple[Basis, np.ndarray]:
+    if not schedules:
+        return CONSTANT, np.zeros((0, 2))
+    spans = spans_of(dataset, schedules)
     if basis is not None:
-        return basis, span
-    if span[0] * span[1] <= 0:  # where it may be zero there is no 1/rho
-        return Powers(EXPONENTS[EXPONENTS >= 0], float(np.abs(span).max()) or 1.0), span
-    return Powers(EXPONENTS, middle(rho)), span
+        _check_variables(basis, schedules)
+        return basis, spans
+    scales = np.abs(spans).max(axis=1)
+    if len(schedules) > 1:
+        return polynomials(DEGREES[len(schedules)], np.where(scales > 0.0, scales, 1.0)), spans
+    if spans[0, 0] * spans[0, 1] <= 0:  # where it may be zero there is no 1/rho
+        return Powers(EXPONENTS[EXPONENTS >= 0], float(scales[0]) or 1.0), spans
+    return Powers(EXPONENTS, float(np.abs(spans.mean())) or 1.0), spans
+
+
+def _check_variables(basis: Basis, schedules: Sequence[Channel]) -> None:
+    """Refuse a basis of another number of variables."""
+    known = len(basis.factors) if isinstance(basis, Products) else 1
+    if known != len(schedules):
+        names = ", ".join(c.name for c in schedules)
+        problem = f"a basis of {known} variables for {len(schedules)} schedules"
+        raise InputError(problem, channel=names, mend="give Products of one factor for each, or no basis")
 
 
 def middle(rho: np.ndarray) -> float:
@@ -97,9 +109,10 @@ def middle(rho: np.ndarray) -> float:
 def _direct(basis: Basis, wanted: bool) -> np.ndarray:
     if not wanted:
         return np.zeros(len(basis.names))
-    if not isinstance(basis, Powers) or not np.any(basis.exponents == 0):
+    constant = np.array([name == "1" for name in basis.names], dtype=float)
+    if not constant.any():
         raise InputError("a feed-through needs a basis with the constant 1", mend="use Powers with exponent 0")
-    return (basis.exponents == 0).astype(float)
+    return constant
 
 
 def regressors(s: Signals, n: int, direct: np.ndarray) -> np.ndarray:

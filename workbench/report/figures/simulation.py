@@ -1,6 +1,6 @@
 """Pictures of simulations: what was measured and what models make of the same inputs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,9 +17,9 @@ _FAR = 5.0
 
 
 def measured_and_simulated(
-    name: str, t: np.ndarray, measured: Trace, simulated: Mapping[str, np.ndarray], schedule: Trace | None = None
+    name: str, t: np.ndarray, measured: Trace, simulated: Mapping[str, np.ndarray], schedules: Sequence[Trace] = ()
 ) -> Picture:
-    """Measured and simulated output of a record above, the error (measured - simulated) below, the schedule at the bottom.
+    """Measured and simulated output of a record above, the error (measured - simulated) below, the schedules at the bottom.
 
     t (N) [s]; simulated: samples (N) by model. Lines break at gaps of t and at samples that are not finite.
     """
@@ -27,7 +27,7 @@ def measured_and_simulated(
     traces = {model: canvas.of_length(values, len(t), model) for model, values in simulated.items()}
     canvas.of_length(measured.values, len(t), str(measured.channel))
     channel, y = measured.channel, measured.values
-    heights = [2.3, 1.25] + [0.8] * (schedule is not None)
+    heights = [2.3, 1.25] + [0.8] * len(schedules)
     with canvas.style():
         figure = canvas.sheet(0.55 + sum(heights))
         above, below, *bottom = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
@@ -41,21 +41,22 @@ def measured_and_simulated(
         below.axhline(0, color=INK.light, linewidth=0.6)
         above.set_ylabel(canvas.label(channel))
         below.set_ylabel(canvas.label(Channel("error", channel.unit)))
-        if schedule:
-            canvas.trace(bottom[0], t, schedule.values, MUTED, "schedule", width=1.1)
-            bottom[0].set_ylabel(canvas.label(schedule.channel))
+        for i, (axes, schedule) in enumerate(zip(bottom, schedules, strict=True)):
+            canvas.trace(axes, t, schedule.values, MUTED, f"schedule-{i}" if i else "schedule", width=1.1)
+            axes.set_ylabel(canvas.label(schedule.channel))
         figure.axes[-1].set_xlabel("t [s]")
         canvas.legend(figure, handles, ["measured", *traces])
         svg = canvas.render(figure)
     cut = [model for i, model in enumerate(traces) if i in away]
     columns = [Column("t", t, "s"), Column(f"{channel.name} measured", y, channel.unit)]
     columns += [Column(f"{channel.name} {model}", values, channel.unit) for model, values in traces.items()]
-    columns += [Column(schedule.channel.name, schedule.values, schedule.channel.unit)] if schedule else []
+    columns += [Column(own.channel.name, own.values, own.channel.unit) for own in schedules]
+    scheduled = ", ".join(own.channel.name for own in schedules)
     return Picture(
         f"{channel.name}, record {name}",
         svg,
         f"Record {name}: {channel.name} measured and simulated; below it the error, measured minus simulated"
-        + (f"; at the bottom the schedule {schedule.channel.name}." if schedule else ".")
+        + (f"; at the bottom the schedule {scheduled}." if schedules else ".")
         + (f" Off the picture in part: {', '.join(cut)}." if cut else ""),
         Data(f"{channel.name} {name}", tuple(columns)),
         f"Line chart over {t[-1] - t[0]:g} s: measured {channel.name} and {', '.join(traces) or 'no model'}, errors below",

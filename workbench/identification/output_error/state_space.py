@@ -1,0 +1,250 @@
+"""LPV state-space models by the error of their free runs, from an LTI start.
+
+    x(k+1) = A(rho) x + B(rho) (u - u0) + share K e,   y = C(rho) x + D(rho) (u - u0) + y0 + e,   A .. D = sum_j M_j phi_j(rho)
+
+All entries of all M_j are free; of the start only those of the constant function are not 0. The run is held by the measured
+outputs at first, share = 1, and less and less until it is free: from so poor a start a free run would be lost. Order and degree
+are those whose model of three fifths of every record runs best on the other two.
+
+V. Verdult, "Nonlinear System Identification: A State-Space Approach", PhD thesis, Twente (2002), chapter 6.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from workbench.basis import Basis, Powers, constant, polynomials, unity
+from workbench.data import Dataset
+from workbench.errors import InputError
+from workbench.identification.feedthrough import acts_at_once
+from workbench.identification.output_error.fence import Fence
+from workbench.identification.output_error.free_numbers import FreeNumbers, constant_weights
+from workbench.identification.output_error.refine import SHARES, Runs, finished, minimised, stable
+from workbench.identification.schedules import schedules_of, spans_of
+from workbench.identification.selection import parts
+from workbench.identification.subspace import PBSID, PredictorEstimate, channels_of
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
+from workbench.metrics import score
+from workbench.records import field, record
+
+WORTH = 0.98  # of the error on what was left out: what one more order, or degree, must do
+HELD, FREE = 1e-3, 1e-6  # share of the cost that a step must gain, of runs that are held and of free ones
+REACHES = (
+    0.25,
+    0.15,
+    0.1,
+    0.05,
+)  # of a span: how far beyond the records a model of several variables is followed if it is stable
+AWAY = 1e-3  # modulus of a pole
+STEPS = 100
+LESS = (0.0, 0.001, 0.01, 0.03)  # shares of what moves A over the schedule
+PATIENCE = 2  # orders in a row that do not
+
+
+@record
+class LPVOutputError:
+    """x+ = A(rho) x + B(rho) u, y = C(rho) x + D(rho) u, matrices linear in functions of the schedule, fitted to free runs.
+
+    order: states; None takes one of `orders` by parts of the records that the model was not fitted to. degree: of the polynomials
+    in the schedule variables, 1 is affine; None takes 1 or 2 in the same way. basis: other functions in their place, among which
+    the constant. feedthrough: estimate D; None where the records show that inputs act within the sample.
+
+        >>> LPVOutputError(order=1, degree=1).fit(data).to_control(10.0).poles().round(2)
+        array([0.88+0.j])
+    """
+
+    order: int | None = None
+    degree: int | None = None
+    basis: Basis | None = None
+    orders: Sequence[int] = tuple(range(1, 7))
+    method: PBSID = field(default=PBSID())
+    feedthrough: bool | None = None
+    name: str = "LPV-OE"
+
+    def __post_init__(self):
+        for n in (*self.orders, *(() if self.order is None else (self.order,))):
+            if n != int(n) or n < 1:
+                raise InputError(f"order {n}", mend="an order is a whole number of states, at least 1")
+        if self.degree is not None and (self.degree != int(self.degree) or self.degree < 1):
+            raise InputError(f"degree {self.degree}", mend="1 is affine in the schedule, 2 quadratic")
+
+    def fit(self, dataset: Dataset) -> LPVModel:
+        """The model of all records together.
+
+        Raises InputError for records without input, output or schedule, for a schedule that is an output, and where no stable
+        model is found.
+        """
+        task = _Task(self, dataset)
+        chosen, notes = self._chosen([(basis, self._orders) for basis in self._bases(task)], dataset)
+        again = task.freed(replace(chosen, model=replace(chosen.model, spans=task.spans, reach=0.0)))
+        # from another start there may be another minimum
+        own = min(again, task.fitted(chosen.model.order, chosen.model.basis), key=task.cost)
+        model = own and finished(own, task.runs(own.model), dataset)
+        if model is None:
+            mend = "ask for a lower order or degree, or take another method"
+            raise InputError("no stable model was found", file=", ".join(dataset.names), mend=mend)
+        return replace(model, notes=notes, trained_on=dataset.fingerprints)
+
+    @property
+    def _orders(self) -> tuple[int, ...]:
+        return tuple(self.orders) if self.order is None else (self.order,)
+
+    def _bases(self, task: "_Task") -> list[Basis]:
+        if self.basis is not None:
+            return [self.basis]
+        return [task.polynomials(d) for d in ((1, 2) if self.degree is None else (self.degree,))]
+
+    def _chosen(self, tried, dataset: Dataset) -> tuple[FreeNumbers, tuple[str, ...]]:
+        """The model of three fifths of the records that runs best on the other two; and what each that was tried came to."""
+        seen, unseen = parts(dataset)
+        task = _Task(self, seen)
+        best, least, said = None, np.inf, []
+        for basis, orders in tried:
+            failed = 0
+            for n in orders:
+                own = task.fitted(n, basis)
+                missed = np.inf if own is None else _missed(own.model, unseen)
+                said.append(f"order {n}, {len(basis.names)} functions: {100.0 * missed:.3g} %")
+                if missed < WORTH * least:
+                    best, least, failed = own, missed, 0
+                elif (failed := failed + 1) >= PATIENCE:
+                    break
+        if best is None:
+            mend = "ask for lower orders, or take another method"
+            raise InputError("no stable model was found", file=", ".join(dataset.names), mend=mend)
+        return best, (f"error of free runs on two fifths of the records, by what was tried: {'; '.join(said)}",)
+
+
+class _Task:
+    """Records with the long predictor that all starts come from."""
+
+    def __init__(self, options: LPVOutputError, dataset: Dataset):
+        first = dataset.experiments[0]
+        self.options, self.dataset, self.channels = options, dataset, channels_of(first)
+        self.schedules = schedules_of(first)
+        if not self.schedules:
+            raise InputError("no schedule channel", file=first.name, mend="name one, or take LTI")
+        if any(c.has_role("output") for c in self.schedules):
+            mend = "take SSM or ILM where the schedule is an output"
+            raise InputError("free runs follow a schedule that is given, this one is an output", file=first.name, mend=mend)
+        self.spans = spans_of(dataset, self.schedules)
+        direct = acts_at_once(dataset) if options.feedthrough is None else options.feedthrough
+        self.made: dict[tuple[int, tuple[str, ...]], FreeNumbers | None] = {}
+        self.start: PredictorEstimate = replace(options.method, feedthrough=direct).estimate(dataset)
+
+    def polynomials(self, degree: int) -> Basis:
+        """All products of the schedule variables, over their largest values, up to a degree."""
+        scales = np.abs(self.spans).max(axis=1)
+        scales = np.where(scales > 0.0, scales, 1.0)
+        if len(scales) == 1:
+            return Powers(np.arange(degree + 1.0), float(scales[0]))
+        return polynomials(degree, scales)
+
+    def runs(self, model: LPVModel) -> Runs:
+        return Runs(model, self.dataset)
+
+    def fitted(self, order: int, basis: Basis) -> FreeNumbers | None:
+        """The model of an order, with its free numbers; None where the records show fewer states, or where it is not stable.
+
+        Begun at the linear model, and at the model with a state less, its special case, where the first one runs worse than that.
+        """
+        if order > self.start.largest:
+            return None
+        key = (order, basis.names)
+        if key not in self.made:
+            own = self.freed(self._held(self._begun(order, basis)))
+            less = self.fitted(order - 1, basis) if order > 1 else None
+            if less is not None and not self.cost(own) < self.cost(less):
+                larger = FreeNumbers.all_of(widened(less.model), direct=bool(self.start.options.feedthrough))
+                own = min(own, self.freed(larger), key=self.cost)
+            self.made[key] = own
+        return self.made[key]
+
+    def cost(self, own: FreeNumbers | None) -> float:
+        """Squared errors of the free runs; inf without a model."""
+        if own is None:
+            return np.inf
+        runs = self.runs(own.model)
+        return runs.cost(own.model, runs.begun(own, 0.0), 0.0)
+
+    def _held(self, model: LPVModel) -> FreeNumbers:
+        """The model with all its numbers fitted to runs that the measured outputs hold less and less."""
+        own, runs = FreeNumbers.all_of(model, direct=bool(self.start.options.feedthrough)), self.runs(model)
+        for share in SHARES:
+            own = minimised(own, runs, share, HELD, STEPS)
+        return own
+
+    def freed(self, own: FreeNumbers) -> FreeNumbers | None:
+        """The model at the minimum of its free runs; None where it is not stable there."""
+        runs = self.runs(own.model)
+        own = tamed(minimised(own, runs, 0.0, FREE, STEPS, self._fence(own, runs)))
+        return replace(own, model=reaching(own.model)) if stable(own.model) else None
+
+    def _fence(self, own: FreeNumbers, runs: Runs) -> Fence:
+        """Poles that are `AWAY` beyond the limit cost as much as all errors of the runs do now."""
+        cost = runs.cost(own.model, runs.begun(own, 0.0), 0.0)
+        return Fence(own.model, self.spans, runs.slowest, cost / AWAY**2)
+
+    def _begun(self, order: int, basis: Basis) -> LPVModel:
+        """The LTI model over the basis."""
+        weight = unity(basis)
+        if weight is None:
+            raise InputError("a basis without the constant 1", mend="give one that holds it, such as Powers([0, 1])")
+        found = self.start.realise(order)
+        A, B, C, D, K = (weight[:, None, None] * M for M in (found.A, found.B, found.C, found.D, found.K))
+        point = constant(len(self.schedules))
+        return LPVModel(
+            self.options.name, self.dataset.dt, *self.channels, self.schedules, self.spans, basis,
+            tuple(Term(j) for j in range(len(weight))), A, B, C, D, OperatingPoint(point, found.u0[None], found.y0[None]),
+            Predictor(A - found.K @ C, B - found.K @ D, K, warmup=max(found.past, order + 1)),
+        )  # fmt: skip
+
+
+def widened(model: LPVModel) -> LPVModel:
+    """The model with one state more, which the inputs move and no output shows: a fit finds what it is good for."""
+    n, weight = model.order, constant_weights(model)[:, None, None]
+    pole = float(np.median(np.abs(np.linalg.eigvals(model.freeze(model.middle)[0]))))
+
+    def wide(M: np.ndarray, rows: int, columns: int, corner: float = 0.0) -> np.ndarray:
+        own = np.zeros((len(M), M.shape[1] + rows, M.shape[2] + columns))
+        own[:, : M.shape[1], : M.shape[2]] = M
+        if rows:
+            own[:, -1:, -1:] += weight * corner
+        return own
+
+    assert model.predictor is not None
+    A, B, C = wide(model.A, 1, 1, pole), wide(model.B, 1, 0), wide(model.C, 0, 1)
+    B[:, n:] = weight * np.abs(model.B).max(axis=(0, 1))  # moved as much as the others are
+    F, G, K = wide(model.predictor.F, 1, 1, pole), B.copy(), wide(model.predictor.K, 1, 0)
+    G[:, :n] = model.predictor.G
+    return replace(model, A=A, B=B, C=C, predictor=replace(model.predictor, F=F, G=G, K=K))
+
+
+def tamed(own: FreeNumbers) -> FreeNumbers:
+    """The model with the least share LESS of what moves A over the schedule taken away for it to be stable."""
+    model = own.model
+    still, predictor = constant_weights(model)[:, None, None] * model.freeze(model.middle)[0], model.predictor
+    assert predictor is not None
+    for less in LESS:
+        A = still + (1.0 - less) * (model.A - still)
+        if stable(tried := replace(model, A=A, predictor=replace(predictor, F=A + predictor.F - model.A))):
+            return replace(own, model=tried)
+    return own
+
+
+def reaching(model: LPVModel) -> LPVModel:
+    """The model, followed beyond the spans as far as it is stable there; of one schedule variable it holds its edge values.
+
+    Several variables seldom leave a box together: where one of them is clipped, what the others say is lost with it.
+    """
+    if len(model.schedules) < 2:
+        return model
+    return next((own for share in REACHES if stable(own := replace(model, reach=share))), model)
+
+
+def _missed(model: LPVModel, unseen: Dataset) -> float:
+    """Root mean square over outputs and records of the errors of free runs over the deviations of what was measured."""
+    runs = score(replace(model, trained_on=()), unseen, "held-out", ["free-run"])
+    missed = float(np.sqrt(np.mean([(1.0 - s.FIT / 100.0) ** 2 for s in runs])))
+    return missed if np.isfinite(missed) else np.inf

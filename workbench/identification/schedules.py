@@ -1,0 +1,38 @@
+"""The schedule variables of a record as a method reads them: one or several, from outside or one that is an output."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from workbench.data import Channel, Dataset, Experiment
+from workbench.errors import InputError
+from workbench.lpv import check_one_if_output
+
+MOST = 6  # variables of a schedule: a lattice over more holds too few values of each
+
+
+def schedules_of(first: Experiment) -> tuple[Channel, ...]:
+    """The schedule variables of a record, none or several.
+
+    Raises InputError for more than MOST, and for a schedule that is an output beside others.
+    """
+    schedules = tuple(first.channel(name) for name in first.names_of("schedule"))
+    if len(schedules) > MOST:
+        names = ", ".join(c.name for c in schedules)
+        problem = f"{len(schedules)} schedule variables, at most {MOST} are possible"
+        raise InputError(problem, file=first.name, channel=names, mend="keep those that change the machine most")
+    check_one_if_output(schedules, first.name)
+    return schedules
+
+
+def scheduled(e: Experiment, schedules: Sequence[Channel]) -> np.ndarray:
+    """The schedule of a record, (N,), of several variables (N, ns); zeros without any."""
+    if not schedules:
+        return np.zeros(len(e))
+    return e[schedules[0].name] if len(schedules) == 1 else e[[c.name for c in schedules]]
+
+
+def spans_of(dataset: Dataset, schedules: Sequence[Channel]) -> np.ndarray:
+    """The lowest and highest value of each schedule variable over all records, (ns, 2)."""
+    rho = np.concatenate([e[[c.name for c in schedules]] for e in dataset])
+    return np.stack([rho.min(axis=0), rho.max(axis=0)], axis=1)
