@@ -308,14 +308,15 @@ class LPVModel:
             return simulated(self, experiment, x)
         out = np.empty((len(u), len(self.outputs)))
         state = x[-1]
-        for k0, A, B, C, D in self._slices(weight, self.A, self.B, self.C, self.D):
-            for i in range(len(A)):
-                k = k0 + i
-                if k < n:
-                    out[k] = C[i] @ x[k] + D[i] @ u[k]
-                    continue
-                out[k] = C[i] @ state + D[i] @ u[k]
-                state = A[i] @ state + B[i] @ u[k]
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may leave the numbers
+            for k0, A, B, C, D in self._slices(weight, self.A, self.B, self.C, self.D):
+                for i in range(len(A)):
+                    k = k0 + i
+                    if k < n:
+                        out[k] = C[i] @ x[k] + D[i] @ u[k]
+                        continue
+                    out[k] = C[i] @ state + D[i] @ u[k]
+                    state = A[i] @ state + B[i] @ u[k]
         return out + self._output_offset(experiment)
 
     def predict(self, experiment: Experiment, steps: int = 1) -> np.ndarray:

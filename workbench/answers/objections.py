@@ -7,22 +7,47 @@ import numpy as np
 
 from workbench.answers.scored import ScoredModel
 from workbench.data import Dataset
+from workbench.identification.feedthrough import Arx, loop_around_unstable
 from workbench.identification.leaks import leaks, too_good
 from workbench.metrics import Score
 
 FLOOR = "oe.json"  # the file of the model that every other one must beat
 TIE = 0.5  # points of FIT
+BEHIND = 2.0  # times the error of an unstable model one step ahead, from which on a stable one is no model of an unstable machine
 WORSE = 1.2  # times the free run's error from which on a one-step prediction says that the predictor is wrong
 
 
 def refereed(results: Sequence[ScoredModel], estimation: Dataset | None, judged: Dataset) -> list[ScoredModel]:
     """The models with what speaks against each; judged: the records that give the headline."""
-    shared = leaks(estimation or judged)
+    shared, loop = leaks(estimation or judged), loop_around_unstable(estimation or judged)
     found = []
     for result in results:
         own = [s for s in result.scores if s.record in judged.names]
-        found.append(replace(result, against=(*shared, *too_good(tuple(own), judged), *_useless(own))))
+        against = (*shared, *too_good(tuple(own), judged), *_useless(own), *_held(own, judged, loop))
+        found.append(replace(result, against=against))
     return found
+
+
+def _held(scores: Sequence[Score], judged: Dataset, loop: Arx | None) -> list[str]:
+    """A sentence for an output of a machine that only its loop holds, whose next sample an unstable model tells far better.
+
+    In such records the input tells the output by the inverse of the controller, and no free run shows that this is no machine.
+    """
+    if loop is None:
+        return []
+    said, names = [], judged.experiments[0].names_of("output")
+    for j, output in enumerate(names):
+        ones = [s for s in scores if (s.horizon, s.output) == ("one-step", output)]
+        pairs = [(s.RMSE, loop.missed(e)[j]) for s in ones for e in judged if e.name == s.record]
+        if pairs and all(own > BEHIND * other for own, other in pairs):
+            own, other = max(pairs)
+            unit = f" {ones[0].unit}".rstrip()
+            said.append(
+                f"{ones[0].model} tells the next {output} by {own:.3g}{unit}, an unstable model (order {loop.order}, pole of"
+                f" modulus {loop.radius:.4g}) by {other:.3g}{unit}: these records are of a loop around a machine that is unstable"
+                " by itself, and this model is more of its controller"
+            )
+    return said
 
 
 def _useless(scores: Sequence[Score]) -> list[str]:

@@ -43,7 +43,8 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     """The law on the model it was designed for, from rest at the usual set-point."""
     if np.any(model.D):
         why = "its outputs see the command of their own sample, which held commands cannot do"
-        return Trial(f"the model {model.name}", "", f"not tried on the model {model.name}: {why}")
+        mend = "identify --no-feedthrough, or give --plant"
+        return Trial(f"the model {model.name}", why, f"not tried on the model {model.name}: {why} ({mend})")
     follows = followed(model)
     low, high = model.span[0], model.span[1]
     first = low + EDGE * (high - low) if follows is not None else low

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+import workbench as wb
 from workbench.basis import Powers
 from workbench.data import Dataset, Experiment
-from workbench.identification.feedthrough import acts_at_once
+from workbench.identification.feedthrough import acts_at_once, loop_around_unstable
 from workbench.identification.lti import LTI
 from workbench.identification.ssm import SSM
 
@@ -72,8 +73,48 @@ def test_in_closed_loop_without_set_points_a_small_gain_is_not_enough(monkeypatc
     from workbench.identification import feedthrough
 
     data = Dataset((experiment(3, 2.0),))
-    monkeypatch.setattr(feedthrough, "_free_run_fit", lambda _, __, first: 60.0 if first else 65.0)
+    monkeypatch.setattr(feedthrough.Arx, "free_fit", lambda self, _: 60.0 if self.first else 65.0)
     for closed, expected in ((False, True), (True, False)):
         found = type("Found", (), {"detected": closed})()
         monkeypatch.setattr(feedthrough, "feedback", lambda _, found=found: found)
         assert acts_at_once(data) is expected
+
+
+def held(seed: int, pole: float, N=2000, dt=0.01) -> Experiment:
+    """x'' = pole^2 x + u read with noise, held by a PD law about a set-point that is not logged; an oscillator for pole < 0."""
+    random = np.random.default_rng(seed)
+    x, v, last = 0.0, 0.0, 0.0
+    u, y = np.empty(N), np.empty(N)
+    r = np.repeat(0.5 * random.normal(size=N // 50), 50)
+    stiff = np.sign(pole) * pole**2
+    for k in range(N):
+        y[k] = x + 0.002 * random.normal()
+        u[k] = -60.0 * (y[k] - r[k]) - 8.0 * (y[k] - last) / dt
+        last = y[k]
+        for _ in range(4):
+            x, v = x + 0.25 * dt * v, v + 0.25 * dt * (stiff * x - 0.5 * v + u[k])
+    return Experiment.from_arrays(f"loop{seed}", dt, inputs={"u": u}, outputs={"y": y})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_machine_that_only_its_loop_holds_is_not_taken_for_the_inverse_of_its_controller(seed):
+    """Neither by a feed-through, nor by a stable model: none is handed out, and the sentence says why."""
+    data, fresh = Dataset((held(seed, 5.0),)), Dataset((held(10 + seed, 5.0),))
+    assert not acts_at_once(data)
+    loop = loop_around_unstable(data)
+    assert loop is not None
+    assert loop.radius > 1.0
+    found = wb.identify(data, fresh, methods={"lti": LTI(order=1), "oe": wb.OutputError(order=1)})
+    assert all(result.against for result in found.results)
+    said = " ".join(sentence for result in found.results for sentence in result.against)
+    assert "a loop around a machine that is unstable by itself" in said
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stable_machine_in_a_loop_is_no_such_machine(seed):
+    """An oscillator under the same law, and one whose noise is large."""
+    data, fresh = Dataset((held(seed, -5.0),)), Dataset((held(10 + seed, -5.0),))
+    found = wb.identify(data, fresh, methods={"lti": LTI(order=2)}, accept=True)
+    assert not any("unstable by itself" in sentence for result in found.results for sentence in result.against)
+    noisy = Dataset((experiment(seed, 0.0, feedback=0.3, noise=0.5),))
+    assert loop_around_unstable(noisy) is None

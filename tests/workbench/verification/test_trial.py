@@ -83,6 +83,22 @@ def test_an_arm_with_fine_margins_is_lost(arm):
     assert not along(still, ARM, np.repeat([[20.0], [22.0]], 1000, axis=0), 800).lost
 
 
+def test_a_law_that_cannot_be_tried_is_not_handed_out(tmp_path, capsys):
+    """A model whose outputs see the command of their own sample is no run for a law that holds its commands."""
+    one = np.ones((1, 1))
+    model = constant_model(
+        "direct", DT, ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),)), (0.5 * one, one, one, 0.2 * one),
+        OperatingPoint(CONSTANT, 0.0 * one, 0.0 * one),
+    )  # fmt: skip
+    model.save(tmp_path / "m.json")
+    words = ["design", "pid", "--model", str(tmp_path / "m.json"), "--out", str(tmp_path / "kept")]
+    assert main(words) == 3
+    assert capsys.readouterr().out.startswith("NOT HANDED OUT: not tried on the model direct: its outputs see the command")
+    assert not (tmp_path / "kept" / "pid.json").exists()
+    replace(model, D=np.zeros((1, 1, 1))).save(tmp_path / "m.json")
+    assert main(words) == 0
+
+
 @pytest.mark.slow
 def test_the_model_itself_loses_it_where_its_schedule_is_its_output(arm):
     _, found = arm
