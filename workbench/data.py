@@ -241,7 +241,7 @@ class Experiment:
             dataclasses.replace(after, name=f"{self.name} (from {time:g} s)"),
         )
 
-    def resample(self, dt: float, *, interpolate: bool = False) -> "Experiment":
+    def resample(self, dt: float, *, interpolate: bool = False, filtered: bool = True) -> "Experiment":
         """The record at sample time dt [s].
 
         An integer multiple q of the sample time: new sample k stands for the old samples k q .. k q + q - 1.
@@ -249,7 +249,8 @@ class Experiment:
         Nyquist frequency, odd continuation at the ends: straight lines pass unchanged) and keep the value at k q.
         Inputs and references are held by the actuator between samples, so they become their mean over the q samples:
         the integral is kept, and an input that was held over the new sample time passes unchanged. Filtering them
-        as well would smear each step to both sides of the instant at which it acted.
+        as well would smear each step to both sides of the instant at which it acted. filtered False keeps measured channels as
+        they are at k q: in a closed loop the filter would mix later noise into a sample, and commands have answered that noise.
 
         Any other dt, and uniform stamps for a jittered record, only with `interpolate`: linear between samples for
         measured channels, last value held for inputs and references; without an anti-aliasing filter.
@@ -268,7 +269,7 @@ class Experiment:
                 file=self.name,
                 mend=f"use {q * self.dt:g} or {(q + 1) * self.dt:g}, or ask to interpolate (interpolate=True)",
             )
-        return self if q == 1 else _decimated(self, q)
+        return self if q == 1 else _decimated(self, q, filtered)
 
     def _samples(self, kept: np.ndarray, condition: str) -> "Experiment":
         if not kept.any():
@@ -482,7 +483,7 @@ def _held(experiment: Experiment) -> np.ndarray:
     return np.array([channel.role in ("input", "reference") for channel in experiment.channels], bool)
 
 
-def _decimated(experiment: Experiment, q: int) -> Experiment:
+def _decimated(experiment: Experiment, q: int, filtered: bool) -> Experiment:
     blocks = len(experiment) // q
     if blocks < 2:
         raise InputError(
@@ -494,7 +495,8 @@ def _decimated(experiment: Experiment, q: int) -> Experiment:
     values = np.empty((blocks, len(held)))
     whole = experiment.values[: blocks * q]
     values[:, held] = whole[:, held].reshape(blocks, q, -1).mean(axis=1)
-    values[:, ~held] = _low_passed(experiment.values[:, ~held], q)[: blocks * q : q]
+    measured = _low_passed(experiment.values[:, ~held], q) if filtered else experiment.values[:, ~held]
+    values[:, ~held] = measured[: blocks * q : q]
     t = experiment.t[: blocks * q : q]
     return dataclasses.replace(experiment, t=t, values=values, dt=q * experiment.dt)
 

@@ -2,7 +2,9 @@
 
 A machine that settles in seconds and is logged at 1 kHz has its poles at 1 - 1e-3: an identified model is lost in rounding and
 noise there, and a diagnosis takes a hundred times as long for nothing. Every q-th sample is kept, behind a filter that nothing
-folds back through (`Experiment.resample`); commands become their mean over q samples.
+folds back through (`Experiment.resample`); commands become their mean over q samples. In a closed loop there is no filter: it
+would mix into a sample the noise of later ones, which the commands of the same time have answered already, and a fit takes that
+for physics.
 
 With a plant its own sample time is the measure. Without one it is the motion itself:
 
@@ -11,9 +13,13 @@ With a plant its own sample time is the measure. Without one it is the motion it
 of the output that moves fastest; 20 samples a period of f are kept.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from workbench.data import SAME_DT, Dataset, bad_stamps
+from workbench.advice import feedback
+from workbench.data import SAME_DT, Dataset, Experiment, bad_stamps
+from workbench.errors import InputError
 from workbench.physics.plant import Plant
 from workbench.physics.sample_time import SAME_TIMES, SIXTY
 
@@ -35,12 +41,30 @@ def thinned(dataset: Dataset, dt: float | None = None, plant: Plant | None = Non
     wanted = q * dataset.dt if dt is None or abs(q * dataset.dt - dt) <= SAME_DT * dt else dt
     if abs(wanted - dataset.dt) <= SAME_DT * dataset.dt:
         return dataset, ""
-    done = Dataset(tuple(e.resample(wanted * e.dt / dataset.dt) for e in dataset))
+    named = [_named(e, plant) for e in dataset] if plant else list(dataset)
+    closed = any(map(_in_a_loop, named))
+    thin = [e.resample(wanted * e.dt / dataset.dt, filtered=not closed) for e in named]
+    done = Dataset(tuple(replace(own, channels=e.channels) for own, e in zip(thin, dataset, strict=True)))
     why = "as asked" if dt is not None else f"{plant.name} is sampled every {plant.dt:g} s" if plant else "nothing moves faster"
     return done, (
-        f"sampled every {dataset.dt:g} s, used every {wanted:g} s ({why}): one sample in {q} behind an anti-aliasing filter,"
+        f"sampled every {dataset.dt:g} s, used every {wanted:g} s ({why}): one sample in {q}"
+        f"{', unfiltered for they are of a closed loop' if closed else ' behind an anti-aliasing filter'},"
         f" commands as their mean; --dt {dataset.dt:g} keeps all"
     )
+
+
+def _named(e: Experiment, plant: Plant) -> Experiment:
+    """The record with the roles that the channels of its plant have: which are commands, a file does not say."""
+    inputs, outputs = ([c.name for c in own if c.name in e.names] for own in (plant.inputs, plant.outputs))
+    return e.with_roles(inputs=[name for name in inputs if name in plant.commanded], outputs=outputs)
+
+
+def _in_a_loop(e: Experiment) -> bool:
+    """Whether set-points are logged, or inputs answer outputs."""
+    try:
+        return bool(e.names_of("reference")) or feedback(e).detected
+    except InputError:  # nothing that moves
+        return False
 
 
 def _by_plant(dataset: Dataset, plant: Plant) -> int:

@@ -131,3 +131,44 @@ def test_a_thinned_record_gives_the_same_machine():
     after, _ = thinned(Dataset((slow(0.001, 120.0),)))
     model = METHODS["lti"](order=1).fit(after)
     assert -after.dt / np.log(model.A[0, 0, 0]) == pytest.approx(1.0, rel=0.05)
+
+
+def loop(dt: float, seconds: float = 20.0, *, seed: int = 3) -> tuple[Experiment, np.ndarray]:
+    """A first-order machine under u = 20 (r - y), y read with noise at every sample, r not logged; and that noise."""
+    g = np.random.default_rng(seed)
+    count = int(seconds / dt)
+    r = np.repeat(g.choice([-1.0, 1.0], count), round(2.0 / dt))[:count]
+    noise, x = 0.05 * g.standard_normal(count), 0.0
+    u, y = np.empty(count), np.empty(count)
+    for k in range(count):
+        y[k] = x + noise[k]
+        u[k] = 20.0 * (r[k] - y[k])
+        x += dt * (-x + 0.3 * u[k])
+    return Experiment.from_arrays("loop", dt, inputs={"u": u}, outputs={"y": y}), noise
+
+
+def test_what_is_thinned_in_a_loop_holds_no_noise_that_its_commands_have_answered():
+    """Of a sample's noise no earlier command may know anything; behind a filter those of the last samples do."""
+    e, noise = loop(0.002)
+    after, said = thinned(Dataset((e,)), 0.02)
+    own = after.experiments[0]
+    assert "closed loop" in said
+    np.testing.assert_array_equal(own["y"], e["y"][::10])
+    before = noise.reshape(-1, 10)[:-1].mean(axis=1)  # what the last command has answered
+    for y, knows in ((own["y"], False), (e.resample(0.02)["y"], True)):  # the filter would have let it know
+        left = (y - (e["y"] - noise)[::10])[1:]
+        assert bool(abs(np.corrcoef(left, before)[0, 1]) > 0.2) is knows
+
+
+def test_commands_are_told_by_the_plant_where_a_file_has_no_roles():
+    plant = PLANTS["positioning-axis"]
+    q, N = 10, 4000
+    g = np.random.default_rng(2)
+    names = [*plant.commanded, *plant.output_names]
+    columns = {name: np.repeat(g.standard_normal(N // 5), 5) for name in names}
+    e = Experiment.from_arrays("file", plant.dt / q, other=columns)
+    after, _ = thinned(Dataset((e,)), plant=plant)
+    own = after.experiments[0]
+    assert own.channels == e.channels
+    for name in plant.commanded:
+        np.testing.assert_allclose(own[name], columns[name][: len(own) * q].reshape(-1, q).mean(axis=1))
