@@ -16,7 +16,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.stats import gamma, gumbel_r
 
-from workbench.diagnosis.fit import Fit, _inverse
+from workbench.diagnosis.fit import Fit
+from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Point, Predictor
 from workbench.diagnosis.scan import Scan, scan_frequencies, scan_orders
 from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
@@ -72,7 +73,7 @@ class Signature:
     @property
     def size(self) -> np.ndarray:
         """One-step estimate of the sizes (c), in their own units."""
-        return -_inverse(self.S) @ self.b * self.scale
+        return -inverse(self.S) @ self.b * self.scale
 
     @property
     def limit(self) -> float:
@@ -354,7 +355,7 @@ def _norms(predictor: Predictor, point: Point, at: np.ndarray, steps: Sequence[t
 
 def _reduction(b: np.ndarray, S: np.ndarray, low: np.ndarray, variant: Variant) -> np.ndarray:
     """b'S^-1 b for rows of b (R, c); 0 where the one size would have to lie below its bound."""
-    value = np.einsum("ri,ij,rj->r", b, _inverse(S), b)
+    value = np.einsum("ri,ij,rj->r", b, inverse(S), b)
     if S.shape[0] == 1 and (low[0] >= 0.0 or not np.isnan(variant.finite)):
         value = np.where(b[:, 0] < 0.0, value, 0.0)  # e + G eta: the size is -b/S
     return value
