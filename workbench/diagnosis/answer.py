@@ -10,6 +10,7 @@ from workbench.physics.parameters import EffectSizes
 from workbench.records import field, record
 
 ROUNDED = "quantisation"  # the effect whose cause is the step of the readings: it says how good a prediction can be
+NO_SIZE = "from which size on these records would show it is not known"  # why an effect is said to be untestable
 
 
 class Finding(Enum):

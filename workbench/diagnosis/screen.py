@@ -53,7 +53,8 @@ class Signature:
     """What a variant changes, projected: b = G*'e and S = G*'G*, and where asked for the columns G* (rows of all records, c).
 
     scale (c): size that each column is per unit of. blocks (nb, c): G*'e by block of samples. weights (n, c): how the fitted
-    unknowns mimic each column.
+    unknowns mimic each column. checked: the limit as an effect of its size has it, infinite where it has none; NaN where nobody
+    looked. See `detection`.
     """
 
     variant: Variant
@@ -64,6 +65,17 @@ class Signature:
     weights: np.ndarray = field("n c")
     low: np.ndarray = field("c")
     columns: np.ndarray | None = None
+    checked: float = np.nan
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the size is a level that is met or not, the limit of an actuator: it is tried as it is."""
+        return self.variant.key.startswith("saturation@")
+
+    @property
+    def responds(self) -> bool:
+        """Whether the errors change at all beyond what the unknowns mimic."""
+        return bool(np.trace(self.S) > 1e-12)
 
     @property
     def statistic(self) -> float:
@@ -81,7 +93,9 @@ class Signature:
 
         Of a limit of an actuator, this level itself where its clipping shows, else infinite.
         """
-        if self.variant.key.startswith("saturation@"):
+        if not np.isnan(self.checked):
+            return self.checked
+        if self.is_level:
             return self.variant.finite if self.S[0, 0] > SHOWN**2 else np.inf
         if self.variant.phase:  # the records share the amplitude, half of it in each of two columns
             return float(SHOWN * self.scale[0] / np.sqrt(max(np.trace(self.S) / 2.0, 1e-300)))

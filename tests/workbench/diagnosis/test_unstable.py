@@ -40,7 +40,7 @@ def test_a_run_that_has_fallen_a_kilometre_does_not_make_its_record_one_in_kilom
 
 def test_a_reversed_voltage_is_refused_all_the_same():
     e = record(1, 600)
-    with pytest.raises(InputError, match="U looks reversed in sign"):
+    with pytest.raises(InputError, match="U: looks reversed in sign"):
         check(MAGLEV, Dataset((replace(e, values=e.values * [-1.0, 1.0, 1.0]),)))
 
 
