@@ -44,6 +44,8 @@ def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = (
         said += [_named(cause, held_out) for cause in found.causes]
     if staged := _staged(errors, held_out):
         said.append(staged)
+    if found.compared:
+        said.append(ended(found.compared))
     if found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) and found.remainder:
         said.append(ended(found.remainder[0].sentence))
     said.append(next_step(found))

@@ -17,6 +17,7 @@ from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.fit import sharpened, term
 from workbench.diagnosis.free_run import filtered
 from workbench.diagnosis.gains import errors
+from workbench.diagnosis.growth import spread, unstable
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import Calibrated, recalibrated, unknowns
 from workbench.diagnosis.referee import Judge, as_given
@@ -29,6 +30,7 @@ from workbench.records import field, record
 TWO_SIDED = 1.959964  # standard deviations on either side of 95 %
 TOGETHER = 0.99  # correlation above which two parameters only count together
 RUNAWAY = 1e6  # times what is measured: a run that is this far away has left its range
+GONE = 10.0  # spreads of an output by which a run of an unstable plant is away where it has left its record
 SILENT = 0.05  # a parameter of which the records say less than this is known from the data sheet alone
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -85,7 +87,8 @@ class Pair:
 class Trajectory:
     """Outputs of a plant along a record, (N, ny): measured (NaN where not), predicted one step ahead, and simulated.
 
-    simulated: from the estimated `start` on, driven by the logged inputs alone. NaN once one has left the plant's range.
+    simulated: from the estimated `start` on, driven by the logged inputs alone. NaN once one has left the plant's range; of an
+    unstable plant, once it has left the record.
     """
 
     record: str
@@ -100,7 +103,8 @@ class Trajectory:
 class Calibration:
     """The plant with its fitted parameters, what is known of each, pairs that only count together, starts and noise levels.
 
-    objections: where it is worse than the plant that it replaces, so that it is not handed out.
+    objections: where it is worse than the plant that it replaces, so that it is not handed out. compared: how far free runs were,
+    a sentence, where the plant is unstable.
     """
 
     plant: Plant
@@ -109,6 +113,7 @@ class Calibration:
     starts: Mapping[str, Mapping[str, float]]
     noise: Mapping[str, float]
     objections: tuple[str, ...] = ()
+    compared: str = ""
 
     @property
     def values(self) -> dict[str, float]:
@@ -181,7 +186,9 @@ def calibrate(
         if any(np.isfinite(r.y[:, i]).any() for r in found.records)
     }
     values = {f.name: f.value for f in fitted}
-    return Calibration(plant.with_parameters(values), fitted, _pairs(fitted, done), starts, noise, objections)
+    return Calibration(
+        plant.with_parameters(values), fitted, _pairs(fitted, done), starts, noise, objections, judge.compared(model)
+    )
 
 
 def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:
@@ -284,15 +291,19 @@ def _trajectory(plant: Plant, one: Dataset) -> Trajectory:
     e, done = one.experiments[0], along(plant, one)
     found, start = done.predictor, done.fit.point.start[0]
     y = found.records[0].y
-    predicted, simulated = (_until_lost(y, errors(found, done.fit.point, 0, horizon)) for horizon in ("one-step", "full-run"))
+    far = GONE * spread(y) if unstable(found) else np.full(y.shape[1], np.inf)
+    predicted, simulated = (
+        _until_lost(y, errors(found, done.fit.point, 0, horizon), far) for horizon in ("one-step", "full-run")
+    )
     by_name = dict(zip(plant.state_names, start.tolist(), strict=True))
     return Trajectory(e.name, e.t, y, predicted, simulated, by_name)
 
 
-def _until_lost(y: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """What was predicted of y (N, ny), NaN from where it has left its range."""
+def _until_lost(y: np.ndarray, error: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """What was predicted of y (N, ny), NaN from where it has left its range, or is further from y than far (ny)."""
     run = y - error
-    lasts = np.logical_and.accumulate((np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) | ~np.isfinite(y), axis=0)
+    near = (np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) & (np.abs(error) <= far)
+    lasts = np.logical_and.accumulate(near | ~np.isfinite(y), axis=0)
     return np.where(lasts, run, np.nan)
 
 

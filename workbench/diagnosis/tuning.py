@@ -12,6 +12,7 @@ millionth of a parameter, a start or an effect grows to all that a record shows,
 import numpy as np
 from scipy.optimize import minimize
 
+from workbench.diagnosis.growth import unstable
 from workbench.diagnosis.kalman import Linearization, likelihood
 from workbench.diagnosis.predictor import Noise, Predictor, with_decays
 
@@ -20,7 +21,6 @@ PUSHING = 2.0 * np.log(30.0)  # the same of what pushes the states
 LASTING = np.log(5.0)  # the same of a coloured part's time constant
 FLOOR = 0.03
 LEAST = 1e-4  # of the variance of a measurement, and of what pushes an unstable plant: without any the filter has no gain
-GROWN = 100.0  # times that what is off grows along a record of a plant that is unstable
 LARGEST = np.log(1e16)  # of a variance over what is expected
 SHORTEST = 5.0  # samples: a push that fades faster is as good as white
 MEMORY = 3.0  # s, the slowest coloured torque; what is slower shall be explained
@@ -122,20 +122,6 @@ class _Tuning:
         off = (z - self.middle) / self.width
         slope *= np.append(self.expected**2 * np.exp(z[:-2]), [self.dt / levels.memory, self.dt / levels.correlation_time])
         return float(total + off @ off), slope + 2.0 * off / self.width
-
-
-def unstable(predictor: Predictor) -> bool:
-    """Whether what is off in the states grows along a record by GROWN or more: the largest eigenvalue of F_N .. F_2 F_1."""
-    return any(_growth(line.F) > GROWN for line in predictor.lines)
-
-
-def _growth(F: np.ndarray) -> float:
-    """Largest eigenvalue, in size, of the product of F (N, n, n), in their order; infinite where it leaves the numbers."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        while len(F) > 1:  # by pairs
-            pairs = F[1::2] @ F[: len(F) // 2 * 2 : 2]
-            F = np.concatenate([pairs, F[-1:]]) if len(F) % 2 else pairs
-    return float(np.abs(np.linalg.eigvals(F[0])).max()) if np.isfinite(F).all() else np.inf
 
 
 def _levels(noise: Noise) -> np.ndarray:

@@ -11,10 +11,10 @@ from workbench.data import Dataset
 from workbench.diagnosis.causes import limits_of, untestable_effects
 from workbench.diagnosis.detection import holding
 from workbench.diagnosis.diagnosis import _recalibrated
+from workbench.diagnosis.growth import log_growth, unstable
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.screen import Signature, signatures, small_sizes, variants
 from workbench.diagnosis.search import Search
-from workbench.diagnosis.tuning import _growth, unstable
 
 
 def recalibrated(plant, dataset: Dataset) -> Model:
@@ -46,10 +46,10 @@ def test_growth_is_that_of_the_product_of_all_steps_in_their_order():
         F, whole = random.standard_normal((N, 3, 3)), np.eye(3)
         for step in F:
             whole = step @ whole
-        assert _growth(F) == pytest.approx(np.abs(np.linalg.eigvals(whole)).max())
-    assert _growth(np.full((3000, 1, 1), 2.0)) == np.inf
+        assert log_growth(F) == pytest.approx(np.log(np.abs(np.linalg.eigvals(whole)).max()))
+    assert log_growth(np.full((3000, 1, 1), 2.0)) == pytest.approx(3000 * np.log(2.0))
     double = np.array([[1.0, 0.01], [0.0, 1.0]])  # what integrates does not run away
-    assert _growth(np.repeat(double[None], 40000, axis=0)) < 2.0
+    assert log_growth(np.repeat(double[None], 40000, axis=0)) < 0.1
 
 
 def test_a_filter_of_an_unstable_plant_keeps_a_push_that_it_corrects_by(balls, drive):

@@ -7,12 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.workbench.diagnosis.maglev import MAGLEV, record
+from tests.workbench.diagnosis.maglev import GUARDED, MAGLEV, record
 from workbench import Channel, Parameter, Plant
 from workbench.data import Dataset, Experiment
+from workbench.diagnosis.answer import Finding
+from workbench.diagnosis.calibrate import calibrate, trajectories
 from workbench.diagnosis.check.records import check
+from workbench.diagnosis.diagnosis import _recalibrated, diagnose
+from workbench.diagnosis.free_run import simulated
+from workbench.diagnosis.gains import Held, Score, errors, gained, horizons
+from workbench.diagnosis.growth import fold, left, reach, unstable
 from workbench.diagnosis.normal import inverse, solve
 from workbench.diagnosis.predictor import predictor
+from workbench.diagnosis.referee import Judge, changes, helps, worse
+from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
 
 SQUARE = Plant(
@@ -64,3 +72,93 @@ def test_normal_equations_are_solved_as_far_as_they_can_be():
     assert np.isnan(found[2]).all()
     assert np.isfinite(inverse(alike)).all()
     assert np.isnan(inverse(lost)).all()
+
+
+def held(before: float, far: tuple[float, ...] = (3.0,)) -> Held:
+    """A model with an error of this size, a full run of one channel whose spread is 1 mm."""
+    e = before * np.random.default_rng(0).choice([-1.0, 1.0], 4000)
+    return Held((Score("r", "full-run", "gap", "mm", before),), 0.0, (e**2,), 0.001, far)
+
+
+def test_of_two_runs_that_are_far_from_their_record_neither_is_better():
+    """4 m and 62 m, in a machine that moves by millimetres."""
+    for pair in ((4.32e3, 6.18e4), (2.24e7, 8.43e5)):
+        (change,) = changes(*map(held, pair))
+        assert not change.known
+        assert change.share == 0.0
+        assert not worse((change,))
+        assert not helps((change,), 0.01)
+        assert not np.isfinite([gained(*map(held, pair))[0].before, gained(*map(held, pair))[0].after]).any()
+        assert changes(*(held(size, (np.inf,)) for size in pair))[0].known  # of a stable plant the larger one is worse
+
+
+def test_a_run_that_follows_is_better_than_one_that_does_not():
+    (fell,), (rose,) = changes(held(0.5), held(6.18e4)), changes(held(4.32e3), held(0.5))
+    assert worse((fell,))
+    assert rose.share > 0.99
+    assert helps((rose,), 0.01)
+    (both_follow,) = changes(held(0.5), held(0.7))
+    assert worse((both_follow,))
+
+
+@pytest.fixture(scope="module")
+def ball() -> Model:
+    return _recalibrated(GUARDED, Dataset((record(1, 3000),)), True, 1)
+
+
+def test_runs_of_an_unstable_plant_are_compared_as_far_ahead_as_they_can_follow(ball):
+    assert unstable(ball.predictor)
+    assert 0.015 < fold(ball.predictor) < 0.035  # sqrt(2 g / s): 0.023 s
+    seconds = reach(ball.predictor)
+    assert seconds == pytest.approx(4.0 * fold(ball.predictor), rel=0.05)
+    name = horizons(seconds)[1]
+    assert name == f"{seconds:g}-second"
+    y = ball.predictor.records[0].y
+    ahead, second = (errors(ball.predictor, ball.fit.point, 0, horizon) for horizon in (name, "one-second"))
+    told, later = (np.isfinite(e).all(axis=1) for e in (ahead, second))
+    assert told[: round(seconds / 0.001)].sum() == 0
+    assert told.sum() > 900  # runs begin at a third of all samples
+    assert not left(ahead[told], y[told]).any()
+    assert left(second[later], y[later])[0]
+
+
+def test_a_ball_has_no_fit_to_free_runs(ball):
+    """With a stop to its force a run that has fallen metres stays in the numbers."""
+    assert simulated(ball) is None
+
+
+def test_a_run_ahead_is_told_with_its_own_horizon_and_the_instability_in_a_sentence(ball):
+    judge = Judge(Dataset((record(2, 1500),)), True)
+    found = judge.between(ball, ball)
+    assert {c.horizon for c in found if c.ahead} == {f"{reach(ball.predictor):g}-second"}
+    assert not next(c for c in found if (c.horizon, c.channel) == ("full-run", "gap")).known
+    assert "maglev is unstable" in judge.compared(ball)
+    assert f"up to {reach(ball.predictor):g} s ahead" in judge.compared(ball)
+    assert judge.longer(ball, ball) == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", [MAGLEV, GUARDED], ids=["falls", "guarded"])
+def test_an_offset_of_an_unstable_machine_is_named_and_handed_out(plant):
+    own, other = (Dataset(tuple(record(seed, 4000, offset=1.5) for seed in seeds)) for seeds in ((1, 2), (3,)))
+    found = diagnose(plant, own, other)
+    assert found.finding is Finding.NAMED
+    (cause,) = found.causes
+    assert cause.key == "offset@U"
+    assert cause.parameters["level"].value == pytest.approx(1.5, abs=0.05)
+    assert not cause.doubt
+    assert not found.objections
+    lost = [g for g in cause.gains if (g.channel, g.horizon) == ("gap", "full-run")]
+    assert lost
+    assert np.isnan([g.before for g in lost]).all()
+    assert "is unstable" in found.compared
+
+
+@pytest.mark.slow
+def test_a_calibration_of_an_unstable_machine_is_handed_out_and_tells_no_error_of_metres():
+    done = calibrate(GUARDED, Dataset((record(1, 4000),)), Dataset((record(3, 3000),)))
+    assert not done.objections
+    assert "is unstable" in done.compared
+    (run,) = trajectories(done.plant, Dataset((record(3, 3000),)))
+    assert np.isnan(run.simulated[-1, 0])
+    assert np.nanmax(np.abs(run.simulated[:, 0] - run.measured[:, 0])) < 30.0
