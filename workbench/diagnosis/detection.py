@@ -19,6 +19,7 @@ from workbench.diagnosis.predictor import Predictor
 from workbench.diagnosis.screen import SHOWN, Signature
 
 ROUNDS = 6  # chords of the fit
+SHARES = (0.25, 0.5, 0.75, 1.0)  # of the size, one after the other
 HOLDS = 2.0  # factor within which m is what was said
 ENOUGH = 0.05  # share of m^2 that a chord must take off to be followed by another
 
@@ -59,28 +60,43 @@ def _of_limit(s: Signature, records: int) -> np.ndarray:
 def _mimicked(
     predictor: Predictor, fit: Fit, asked: Sequence[Signature], sizes: Sequence[np.ndarray], said: np.ndarray
 ) -> np.ndarray:
-    """m of every signature at its size, as far as chords go; see the module."""
-    moves = -np.array([s.weights @ d for s, d in zip(asked, sizes, strict=True)])
-    best, open_ = np.full(len(asked), np.inf), list(range(len(asked)))
+    """m of every signature at its size; see the module. Where chords do not lead there at once, by way of smaller sizes."""
+    straight = -np.array([s.weights @ d for s, d in zip(asked, sizes, strict=True)])
+    found, _ = _chords(predictor, fit, asked, sizes, straight)
+    far = [int(j) for j in np.flatnonzero(found > HOLDS * said)]
+    if far:
+        moves, before = straight[far], 1.0
+        for share in SHARES:
+            own = [share * sizes[j] for j in far]
+            m, moves = _chords(predictor, fit, [asked[j] for j in far], own, share / before * moves)
+            before = share
+        found[far] = np.minimum(found[far], m)
+    return found
+
+
+def _chords(
+    predictor: Predictor, fit: Fit, asked: Sequence[Signature], sizes: Sequence[np.ndarray], moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """m of every signature at its size, by chords of the fit from `moves` (R, n) of the unknowns, and the moves there."""
+    moves, best, reached = moves.copy(), np.full(len(asked), np.inf), moves.copy()
+    on = np.arange(len(asked))
     for _ in range(ROUNDS):
-        changes = [
-            _changes(predictor, fit, i, [(asked[j], sizes[j]) for j in open_], moves[open_]) for i in range(len(fit.errors))
-        ]
-        prior = np.where(fit.unknowns.believed, moves[open_], 0.0)
+        own = [(asked[int(j)], sizes[int(j)]) for j in on]
+        changes = [_changes(predictor, fit, i, own, moves[on]) for i in range(len(fit.errors))]
+        prior = np.where(fit.unknowns.believed, moves[on], 0.0)
         with np.errstate(over="ignore", invalid="ignore"):
             cost = sum((r**2).sum(axis=1) for r in changes) + (prior**2).sum(axis=1)
-        gains = cost < (1.0 - ENOUGH) * best[open_]
-        first = np.isinf(best[open_])
-        best[open_] = np.minimum(best[open_], cost)
-        on = gains & ~(first & (np.sqrt(cost) <= HOLDS * said[open_]))
-        if not on.any():
+        gains = np.asarray(cost < (1.0 - ENOUGH) * best[on])
+        better = cost < best[on]
+        best[on[better]], reached[on[better]] = cost[better], moves[on[better]]
+        if not gains.any():
             break
-        pull = prior[on]
+        pull = prior[gains]
         for i, r in enumerate(changes):
-            pull[:, fit.unknowns.columns(i)] += r[on] @ fit.jacobian[i]
-        open_ = [j for j, goes in zip(open_, on, strict=True) if goes]
-        moves[open_] -= pull @ fit.covariance
-    return np.sqrt(best)
+            pull[:, fit.unknowns.columns(i)] += r[gains] @ fit.jacobian[i]
+        on = on[gains]
+        moves[on] -= pull @ fit.covariance
+    return np.sqrt(best), reached
 
 
 def _changes(
