@@ -17,7 +17,7 @@ from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.fit import sharpened, term
 from workbench.diagnosis.free_run import filtered
 from workbench.diagnosis.gains import errors
-from workbench.diagnosis.growth import spread, unstable
+from workbench.diagnosis.growth import GONE, spread, unstable
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import Calibrated, recalibrated, unknowns
 from workbench.diagnosis.referee import Judge, as_given
@@ -30,7 +30,6 @@ from workbench.records import field, record
 TWO_SIDED = 1.959964  # standard deviations on either side of 95 %
 TOGETHER = 0.99  # correlation above which two parameters only count together
 RUNAWAY = 1e6  # times what is measured: a run that is this far away has left its range
-GONE = 10.0  # spreads of an output by which a run of an unstable plant is away where it has left its record
 SILENT = 0.05  # a parameter of which the records say less than this is known from the data sheet alone
 
 Bounds = Mapping[str, tuple[float, float]]

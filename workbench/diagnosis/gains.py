@@ -14,7 +14,7 @@ from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.confirm import left_out_points
 from workbench.diagnosis.fit import Unknowns, gauss_newton
 from workbench.diagnosis.free_run import filtered
-from workbench.diagnosis.growth import FAR, SECOND, reach, spread, unstable
+from workbench.diagnosis.growth import FAR, GONE, SECOND, reach, spread, unstable
 from workbench.diagnosis.predictor import Point, Predictor, predictor
 from workbench.diagnosis.refit import Model
 from workbench.physics import stepper
@@ -233,10 +233,11 @@ def _held(made: Predictor, squares: Sequence[Mapping[str, np.ndarray]], deviance
 
 
 def gained(before: Held, after: Held) -> tuple[Gain, ...]:
-    """Errors of two models beside each other; NaN where neither follows the record."""
+    """Errors of two models beside each other; NaN where neither follows the record, and where one is GONE from it."""
     found = []
     for b, a, far in zip(before.scores, after.scores, before.far, strict=True):
-        old, new = (np.nan, np.nan) if min(b.error, a.error) > far else (b.error, a.error)
+        most = far if min(b.error, a.error) > far else GONE / FAR * far
+        old, new = (s.error if s.error <= most else np.nan for s in (b, a))
         found.append(Gain(b.channel, b.horizon, old, new, b.unit, b.record))
     return tuple(found)
 

@@ -11,7 +11,7 @@ from workbench.diagnosis.predictor import Predictor
 GROWN = 100.0  # times that what is off grows along a record of a plant that is unstable
 SECOND, MOST = 1.0, 6.0  # s, how far ahead runs are compared, beside the full run; times that what is off may grow e-fold in it
 FOLDS = 4.0  # the same up to where runs are compared if it grows more often
-FAR = 3.0  # standard deviations of a channel, beyond which a run does not follow its record
+FAR, GONE = 3.0, 10.0  # standard deviations of a channel, beyond which a run does not follow its record, and is nowhere near it
 
 
 def unstable(predictor: Predictor) -> bool:

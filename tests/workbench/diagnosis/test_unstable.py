@@ -96,6 +96,11 @@ def test_a_run_that_follows_is_better_than_one_that_does_not():
     (fell,), (rose,) = changes(held(0.5), held(6.18e4)), changes(held(4.32e3), held(0.5))
     assert worse((fell,))
     assert rose.share > 0.99
+    (told,) = gained(held(4.32e3), held(0.5))  # what is gone from its record has no number in a table
+    assert np.isnan(told.before)
+    assert told.after == pytest.approx(0.5)
+    (near,) = gained(held(6.0), held(0.5))
+    assert near.before == pytest.approx(6.0)
     assert helps((rose,), 0.01)
     (both_follow,) = changes(held(0.5), held(0.7))
     assert worse((both_follow,))
