@@ -12,6 +12,7 @@ from studies.experiments import plan
 from workbench.answers.verdict import HEADLINES, next_step, sentences, verdict
 from workbench.data import Dataset
 from workbench.diagnosis.answer import (
+    NO_SIZE,
     Cause,
     Diagnosis,
     Estimate,
@@ -165,6 +166,10 @@ def test_an_all_clear_states_first_what_would_have_shown_at_the_place_where_it_s
         "less may be there. They cannot show sensor-lag@w1, sensor-lag@w2, sensor-lag@theta and 1 more at any size."
     )
     assert "They cannot" not in sentences(replace(nothing, untestable=()), True)[1]
+    unsure = replace(nothing, untestable=(Untestable("sensor-gain", "w1", NO_SIZE), Untestable("sensor-lag", "w1", NO_SIZE)))
+    assert sentences(unsure, True)[1].endswith(
+        "less may be there. From which size on they would have shown a wrong scale (w1) is not known."
+    )
     assert len(sentences(replace(nothing, untestable=(), limits=()), True)) == 2  # nothing to say beside headline and next step
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from workbench.answers.answer import Answer, PlantAnswer, Records, prepared
+from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.calibrate import Bounds, Calibration, Fitted, Trajectory, gains, trajectories
@@ -150,6 +151,7 @@ def sentences(done: Calibration, found: Sequence[Gain], held_out: bool) -> list[
     said = [f"{objection[:1].upper()}{objection[1:]}." for objection in done.objections]
     said += [f"{len(done.parameters)} parameters fitted; the records decide {', '.join(told) if told else 'none of them'}."]
     said += [gained(found, held_out)] if found else []
+    said += [ended(done.compared)] if done.compared else []
     said += [f"{sentence}." for sentence in done.warnings if "say nothing" not in sentence]
     said += [f"{pair.sentence}." for pair in done.pairs]
     return said

@@ -229,14 +229,17 @@ def _equation(plant: Plant, cause: Cause) -> str:
 
 
 def _shifted(nominal: Plant, found: Diagnosis, cause: Cause, one: Dataset) -> Picture:
-    """A few samples around the fastest change of the channel where the cause shows most; the other causes are in both runs."""
+    """A few samples around the fastest change, as far as runs last, of the channel where the cause shows most; the other causes
+    are in both runs.
+    """
     others = {key: numbers for key, numbers in found.effects.items() if key != cause.key}
     old, new = (trajectories(extension(nominal, "", {}, effects).of(nominal), one)[0] for effects in (others, found.effects))
     seen = [i for i in range(len(nominal.outputs)) if np.isfinite(old.measured[:, i]).all()]
     away = [np.nanmean((new.simulated[:, i] - old.simulated[:, i]) ** 2) / np.var(old.measured[:, i]) for i in seen]
     i = next((i for i in seen if nominal.output_names[i] == cause.place), seen[int(np.nanargmax(away))])
     y = old.measured[:, i]
-    middle = int(np.argmax(np.abs(np.convolve(np.diff(y), np.ones(3), "same"))))
+    lasts = np.isfinite(old.simulated[1:, i] + new.simulated[1:, i])
+    middle = int(np.argmax(np.abs(np.convolve(np.diff(y), np.ones(3), "same")) * (lasts if lasts.any() else 1.0)))
     at = slice(max(middle - WINDOW // 3, 0), middle + WINDOW)
     runs = {"without the effect": old.simulated[at, i], "with the effect": new.simulated[at, i]}
     return figures.measured_and_simulated(f"{old.record}, {cause.key}", old.t[at], Trace(nominal.outputs[i], y[at]), runs)

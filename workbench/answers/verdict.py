@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.diagnosis.answer import ROUNDED, Cause, Diagnosis, Finding, Gain, Limit
+from workbench.diagnosis.answer import NO_SIZE, ROUNDED, Cause, Diagnosis, Finding, Gain, Limit
 from workbench.diagnosis.stages import StageError
 
 HEADLINES = {
@@ -44,6 +44,8 @@ def sentences(found: Diagnosis, held_out: bool, errors: Sequence[StageError] = (
         said += [_named(cause, held_out) for cause in found.causes]
     if staged := _staged(errors, held_out):
         said.append(staged)
+    if found.compared:
+        said.append(ended(found.compared))
     if found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) and found.remainder:
         said.append(ended(found.remainder[0].sentence))
     said.append(next_step(found))
@@ -115,8 +117,11 @@ def reach(found: Diagnosis) -> str:
             worst[limit.effect] = limit
     shown = [f"{plain} from {_size(worst[name])} ({worst[name].place})" for name, plain in COMMON.items() if name in worst]
     said = f"They would have shown {', '.join(shown)}; less may be there." if shown else ""
-    count = len(found.untestable)
-    hidden = ", ".join(f"{u.effect}@{u.place}" for u in found.untestable[:3])
+    if unsure := [f"{COMMON[u.effect]} ({u.place})" for u in found.untestable if u.why == NO_SIZE and u.effect in COMMON]:
+        said = f"{said} From which size on they would have shown {' or '.join(unsure)} is not known.".strip()
+    silent = [u for u in found.untestable if u.why != NO_SIZE]
+    count = len(silent)
+    hidden = ", ".join(f"{u.effect}@{u.place}" for u in silent[:3])
     if not count:
         return said
     return f"{said} They cannot show {hidden}{f' and {count - 3} more' if count > 3 else ''} at any size.".strip()

@@ -10,6 +10,7 @@ from workbench.physics.parameters import EffectSizes
 from workbench.records import field, record
 
 ROUNDED = "quantisation"  # the effect whose cause is the step of the readings: it says how good a prediction can be
+NO_SIZE = "from which size on these records would show it is not known"  # why an effect is said to be untestable
 
 
 class Finding(Enum):
@@ -129,8 +130,9 @@ class Diagnosis:
     """See the module. effects and parameters extend the plant: what `simulate` takes.
 
     similarity (m, m): share of the signature of the effect in a row that the one in a column can mimic, for the keys in `tested`.
-    signs: parameters that had to leave their tolerance. objections: where the extended plant is worse on held-out records than
-    the plant that it replaces, so that it is not handed out.
+    signs: parameters that had to leave their tolerance. compared: how far free runs were, where the plant is unstable.
+    objections: where the extended plant is worse on held-out records than the plant that it replaces, so that it is not handed
+    out.
     """
 
     plant: str
@@ -147,6 +149,7 @@ class Diagnosis:
     similarity: np.ndarray = field("m m")
     notes: tuple[str, ...] = ()
     signs: tuple[str, ...] = ()
+    compared: str = ""
     objections: tuple[str, ...] = ()
     seconds: float = 0.0
 
@@ -165,7 +168,7 @@ class Diagnosis:
                 {"channel": r.channel, "over": r.variable, "p_value": r.p_value, "share": r.share, "sentence": r.sentence}
                 for r in self.remainder
             ],
-            "notes": [*self.signs, *self.notes],
+            "notes": [*self.signs, *([self.compared] if self.compared else []), *self.notes],
             "objections": list(self.objections),
         }
 

@@ -17,6 +17,7 @@ from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.fit import sharpened, term
 from workbench.diagnosis.free_run import filtered
 from workbench.diagnosis.gains import errors
+from workbench.diagnosis.growth import GONE, spread, unstable
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import Calibrated, recalibrated, unknowns
 from workbench.diagnosis.referee import Judge, as_given
@@ -85,7 +86,8 @@ class Pair:
 class Trajectory:
     """Outputs of a plant along a record, (N, ny): measured (NaN where not), predicted one step ahead, and simulated.
 
-    simulated: from the estimated `start` on, driven by the logged inputs alone. NaN once one has left the plant's range.
+    simulated: from the estimated `start` on, driven by the logged inputs alone. NaN once one has left the plant's range; of an
+    unstable plant, once it has left the record.
     """
 
     record: str
@@ -100,7 +102,8 @@ class Trajectory:
 class Calibration:
     """The plant with its fitted parameters, what is known of each, pairs that only count together, starts and noise levels.
 
-    objections: where it is worse than the plant that it replaces, so that it is not handed out.
+    objections: where it is worse than the plant that it replaces, so that it is not handed out. compared: how far free runs were,
+    a sentence, where the plant is unstable.
     """
 
     plant: Plant
@@ -109,6 +112,7 @@ class Calibration:
     starts: Mapping[str, Mapping[str, float]]
     noise: Mapping[str, float]
     objections: tuple[str, ...] = ()
+    compared: str = ""
 
     @property
     def values(self) -> dict[str, float]:
@@ -181,7 +185,9 @@ def calibrate(
         if any(np.isfinite(r.y[:, i]).any() for r in found.records)
     }
     values = {f.name: f.value for f in fitted}
-    return Calibration(plant.with_parameters(values), fitted, _pairs(fitted, done), starts, noise, objections)
+    return Calibration(
+        plant.with_parameters(values), fitted, _pairs(fitted, done), starts, noise, objections, judge.compared(model)
+    )
 
 
 def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:
@@ -284,15 +290,19 @@ def _trajectory(plant: Plant, one: Dataset) -> Trajectory:
     e, done = one.experiments[0], along(plant, one)
     found, start = done.predictor, done.fit.point.start[0]
     y = found.records[0].y
-    predicted, simulated = (_until_lost(y, errors(found, done.fit.point, 0, horizon)) for horizon in ("one-step", "full-run"))
+    far = GONE * spread(y) if unstable(found) else np.full(y.shape[1], np.inf)
+    predicted, simulated = (
+        _until_lost(y, errors(found, done.fit.point, 0, horizon), far) for horizon in ("one-step", "full-run")
+    )
     by_name = dict(zip(plant.state_names, start.tolist(), strict=True))
     return Trajectory(e.name, e.t, y, predicted, simulated, by_name)
 
 
-def _until_lost(y: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """What was predicted of y (N, ny), NaN from where it has left its range."""
+def _until_lost(y: np.ndarray, error: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """What was predicted of y (N, ny), NaN from where it has left its range, or is further from y than far (ny)."""
     run = y - error
-    lasts = np.logical_and.accumulate((np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) | ~np.isfinite(y), axis=0)
+    near = (np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) & (np.abs(error) <= far)
+    lasts = np.logical_and.accumulate(near | ~np.isfinite(y), axis=0)
     return np.where(lasts, run, np.nan)
 
 

@@ -5,7 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.diagnosis.answer import ROUNDED, Cause, Estimate, Evidence, Finding, Limit, NextExperiment, Remainder, Untestable
+from workbench.diagnosis.answer import (
+    NO_SIZE,
+    ROUNDED,
+    Cause,
+    Estimate,
+    Evidence,
+    Finding,
+    Limit,
+    NextExperiment,
+    Remainder,
+    Untestable,
+)
 from workbench.diagnosis.equations import Law, instead, one_instead
 from workbench.diagnosis.experiments import Template, deciding
 from workbench.diagnosis.findings import Found, strongest_of
@@ -269,17 +280,18 @@ def limits_of(plant: Plant, tested: Sequence[Signature]) -> tuple[Limit, ...]:
 
 def _hidden(s: Signature) -> bool:
     """Whether no size that can be meant would show: beyond the effect's bounds, or without any response."""
-    return not np.isfinite(s.limit) or np.trace(s.S) < 1e-12 or (not np.isnan(s.variant.finite) and s.S[0, 0] < 1.0)
+    return not np.isfinite(s.limit) or not s.responds or (not np.isnan(s.variant.finite) and s.S[0, 0] < 1.0)
 
 
 def untestable_effects(model: Model, tested: Sequence[Signature]) -> tuple[Untestable, ...]:
     plant = model.predictor.plant
     shown = {s.variant.key for s in tested if not _hidden(s)}
+    unsure = {s.variant.key for s in tested if np.isinf(s.checked)}
     found = []
     for key in plant.effect_keys:
         if key in shown:
             continue
-        why = "nothing that it would change was excited in these records"
+        why = NO_SIZE if key in unsure else "nothing that it would change was excited in these records"
         if key.startswith(f"{ROUNDED}@"):
             continue
         if not measurable(model, key):

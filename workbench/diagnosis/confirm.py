@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from workbench.diagnosis.fit import _evaluate, _inverse, _solve
+from workbench.diagnosis.fit import _evaluate
+from workbench.diagnosis.normal import eigen, inverse, solve
 from workbench.diagnosis.predictor import Point
 from workbench.diagnosis.refit import Model
 from workbench.records import field, record
@@ -48,10 +49,11 @@ def left_out_points(model: Model) -> list[tuple[Fold, Point]]:
     fit, found, A, nx = model.fit, [], model.fit.information, model.fit.unknowns.split[1]
     for fold in folds(model, least=max(2, -(-PIECES // len(model.predictor.records)))):
         A_r, _, _, b_f = _normal(model, fold)
-        step = _solve(A_r, b_f)
+        step = solve(A_r, b_f)
         begins = fit.unknowns.split[0] + fold.record * nx + np.arange(nx)
         rest = np.delete(np.arange(len(step)), begins)
-        step[begins] = -_inverse(A[np.ix_(begins, begins)]) @ A[np.ix_(begins, rest)] @ step[rest]
+        step[begins] = -inverse(A[np.ix_(begins, begins)]) @ A[np.ix_(begins, rest)] @ step[rest]
+        step = step if np.isfinite(step).all() else np.zeros(len(step))  # a plant that is lost along its records stays so
         tried = _evaluate(model.predictor, fit.unknowns, [fit.unknowns.clip(fit.z + s * step) for s in SHARES], fit.jacobian)
         costs = []
         for one in tried:
@@ -143,10 +145,9 @@ def _lent(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 def _solved(A: np.ndarray, b: np.ndarray) -> tuple[float, float]:
     """b' A^-1 b and log det A."""
-    d = np.sqrt(np.diag(A))
-    L = np.linalg.cholesky(A / np.outer(d, d) + 1e-13 * np.eye(len(d)))
-    x = np.linalg.solve(L, b / d)
-    return float(x @ x), float(2.0 * np.log(np.diag(L) * d).sum())
+    value, vector, d = eigen(A)
+    x = vector.T @ (b / d)
+    return float(x @ (x / value)), float((np.log(value) + 2.0 * np.log(d)).sum())
 
 
 def stability(model: Model, key: str) -> float:
@@ -161,7 +162,7 @@ def stability(model: Model, key: str) -> float:
         if t.key == key:
             mine = np.arange(own.start, own.start + len(t.sizes))
     others = np.setdiff1d(np.arange(unknowns.size), mine)
-    mimic = _inverse(fit.information[np.ix_(others, others)]) @ fit.information[np.ix_(others, mine)]
+    mimic = inverse(fit.information[np.ix_(others, others)]) @ fit.information[np.ix_(others, mine)]
     weights = np.zeros((unknowns.size, len(mine)))
     weights[mine] = np.eye(len(mine))
     weights[others] = -mimic

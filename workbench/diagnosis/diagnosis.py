@@ -144,6 +144,7 @@ def _answered(plant: Plant, found: Found, given: Model, judge: Judge, laws: Mapp
             *(f"the plant keeps its own parameters: {objection}" for objection in objections if kept),
         ),
         signs=beyond,
+        compared=judge.compared(base),
         objections=() if kept else objections,
     )
 

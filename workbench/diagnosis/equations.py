@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from workbench.diagnosis.fit import Fit, _inverse
+from workbench.diagnosis.fit import Fit
+from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.policy import TIE
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import answers, coefficients, trajectory, variables
@@ -174,16 +175,16 @@ def _pushed(bare: _Bare, form: _Form) -> _Push:
     linear = np.inf
     if np.isfinite(A).all():
         b = np.concatenate([bare.slope, _over_law(R, bare.fit)])
-        linear = bare.fit.cost - float(b @ _inverse(A) @ b) - bare.with_effect + more
+        linear = bare.fit.cost - float(b @ inverse(A) @ b) - bare.with_effect + more
     return _Push(bare, form, R, A, linear, more)
 
 
 def _fitted(push: _Push) -> float:
     """The gap of a law after a few steps of its fit; each counts only as far as the errors themselves fall."""
     fit, left = push.bare.fit, push.bare.left
-    c, inverse = np.zeros(push.responses[0].shape[1]), _inverse(push.information)
+    c, covariance = np.zeros(push.responses[0].shape[1]), inverse(push.information)
     for _ in range(STEPS):
-        step = inverse @ np.concatenate([_slope(fit, left), _over_law(push.responses, fit)])
+        step = covariance @ np.concatenate([_slope(fit, left), _over_law(push.responses, fit)])
         for share in (1.0, 0.5, 0.2, 0.05, 0.01):
             numbers = c - share * step[len(left) :]
             moved = _moved(push, fit, share * step[: len(left)], numbers)

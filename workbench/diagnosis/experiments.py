@@ -26,6 +26,7 @@ from scipy.special import ndtr
 from workbench.data import Dataset, Experiment
 from workbench.diagnosis.answer import NextExperiment
 from workbench.diagnosis.fit import Unknowns, gauss_newton, jacobian
+from workbench.diagnosis.normal import solve
 from workbench.diagnosis.predictor import Point, predictor
 from workbench.diagnosis.refit import Model
 from workbench.errors import InputError
@@ -103,7 +104,7 @@ class Foreseen:
 
     def gain(self, runs: int) -> float:
         """lambda of the module for so many runs."""
-        left = np.linalg.solve(np.eye(len(self.pull)) + runs * self.info, self.pull)
+        left = solve(np.eye(len(self.pull)) + runs * self.info, self.pull)
         return max(runs * self.whole - runs**2 * float(self.pull @ left), 0.0)
 
 
@@ -299,7 +300,7 @@ def foreseen(true: Model, rival: Model, run: Experiment) -> Foreseen:
         raise InputError(f"{', '.join(rival.keys)} does not follow the run", file=run.name)
     _, (J,) = jacobian(made, open_.unknowns, open_.z, open_.steps)
     own, shared = J @ open_.of_the_run, J @ open_.shared
-    inner = np.linalg.solve(np.eye(own.shape[1]) + own.T @ own, own.T @ np.column_stack([d, shared]))
+    inner = solve(np.eye(own.shape[1]) + own.T @ own, (own.T @ np.column_stack([d, shared])).T).T
     both = np.column_stack([d, shared]) - own @ inner  # V^-1 times d and J R
     return Foreseen(float(d @ both[:, 0]), shared.T @ both[:, 0], shared.T @ both[:, 1:])
 

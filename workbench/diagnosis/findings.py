@@ -162,7 +162,7 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
         return "would explain part of it, but more is left beside it than it explains"
     if _none(step):
         return NONE
-    ahead_of = any(c.sure and c.share > 0.0 for c in found if c.horizon == "one-second")
+    ahead_of = any(c.sure and c.share > 0.0 for c in found if c.ahead)
     surprised = not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0
     if surprised and not _helps_free_runs(step, judge):
         return "would explain these records, but predicts the held-out ones no better: something else is behind it"

@@ -14,6 +14,7 @@ from itertools import chain, pairwise
 
 import numpy as np
 
+from workbench.diagnosis.normal import inverse, solve
 from workbench.diagnosis.predictor import Point, Predictor
 from workbench.physics.effects.effect import GridUnit
 from workbench.physics.plant import Plant
@@ -211,7 +212,7 @@ class Fit:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance of the unknowns, to first order."""
-        return _inverse(self.information)
+        return inverse(self.information)
 
     def seen(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """J'R, (n, ..): what the unknowns see of columns R_i (N ny, ..), by record."""
@@ -232,14 +233,6 @@ def _normal(unknowns: Unknowns, jacobian, errors) -> tuple[np.ndarray, np.ndarra
         A[np.ix_(own, own)] += J.T @ J
         b[own] += J.T @ e.ravel()
     return A, b
-
-
-def _inverse(A: np.ndarray) -> np.ndarray:
-    """Inverse of an information matrix, scaled to a unit diagonal; directions without information stay finite."""
-    diagonal = np.diag(A)
-    d = np.sqrt(np.where(diagonal > 1e-200, diagonal, 1.0))  # no unit where there is no information: 1/d must not overflow
-    value, vector = np.linalg.eigh(A / np.outer(d, d))
-    return (vector / np.maximum(value, 1e-13)) @ vector.T / np.outer(d, d)
 
 
 def jacobian(
@@ -363,21 +356,15 @@ def gauss_newton(
 def _best_step(predictor, unknowns, z, A, b, cost, J) -> Fit | None:
     """The full step if it helps, else the best of a fan of shorter and more damped ones, side by side."""
     scale = np.diag(np.diag(A))
-    full = _solve(A, b)
+    full = solve(A, b)
     fan = [share * full for share in (0.5, 0.2, 0.05, 0.01)]
-    fan += [_solve(A + damping * scale, b) for damping in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
+    fan += [solve(A + damping * scale, b) for damping in (1e-3, 1e-2, 1e-1, 1.0, 10.0)]
     for trials in ([full], fan):
         moves = [unknowns.clip(z - step) for step in trials if np.isfinite(step).all()]
         best = min(_evaluate(predictor, unknowns, moves, J), key=lambda f: f.cost) if moves else None
         if best is not None and best.cost < cost:
             return best
     return None
-
-
-def _solve(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    d = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    scaled = A / np.outer(d, d)
-    return np.linalg.solve(scaled + 1e-12 * np.eye(len(d)), b / d) / d
 
 
 def _evaluate(predictor: Predictor, unknowns: Unknowns, vectors: Sequence[np.ndarray], J) -> list[Fit]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.diagnosis.fit import gauss_newton, small_steps
+from workbench.diagnosis.growth import left, unstable
 from workbench.diagnosis.predictor import RAN_AWAY, Noise, Predictor
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.tuning import tuned
@@ -22,11 +23,12 @@ FADED = 0.1  # autocorrelation from which on the rest is noise
 def simulated(model: Model) -> Model | None:
     """The model fitted by its free runs, from where it is; None where a run is lost: an unstable machine has none."""
     unknowns, z, sizes = model.fit.unknowns, model.fit.z, small_steps(model.fit.unknowns, model.fit.z)
+    runs_away = unstable(model.predictor)
     noise = Noise(model.predictor.noise.measurement, np.zeros(len(model.predictor.noise.process)), np.empty(0))
     predictor = replace(model.predictor, simulated=True).regained(model.fit.point, noise, rounds=2)
     best: Model | None = None
     for _ in range(ROUNDS):
-        if not _lasts(predictor):
+        if not _lasts(predictor, follows=runs_away):
             break
         predictor = weighed(predictor)
         fit = gauss_newton(predictor, unknowns, z, sizes, rounds=3)
@@ -66,9 +68,14 @@ def _raw(predictor: Predictor) -> list[np.ndarray]:
     ]
 
 
-def _lasts(predictor: Predictor) -> bool:
-    finite = all(np.isfinite(line.F).all() and np.isfinite(line.H).all() for line in predictor.lines)
-    return finite and all(float(np.abs(e).max(initial=0.0)) < RAN_AWAY for e in _raw(predictor))
+def _lasts(predictor: Predictor, follows: bool) -> bool:
+    """Whether no run is lost; follows: it is where a run does not follow its record, though it stays in the numbers."""
+    if not all(np.isfinite(line.F).all() and np.isfinite(line.H).all() for line in predictor.lines):
+        return False
+    runs = list(zip(_raw(predictor), predictor.records, strict=True))
+    if follows and any(left(e, r.y).any() for e, r in runs):
+        return False
+    return all(float(np.abs(e).max(initial=0.0)) < RAN_AWAY for e, _ in runs)
 
 
 def _correlated(e: np.ndarray) -> float:

@@ -14,12 +14,14 @@ from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.confirm import left_out_points
 from workbench.diagnosis.fit import Unknowns, gauss_newton
 from workbench.diagnosis.free_run import filtered
+from workbench.diagnosis.growth import FAR, GONE, SECOND, reach, spread, unstable
 from workbench.diagnosis.predictor import Point, Predictor, predictor
 from workbench.diagnosis.refit import Model
 from workbench.physics import stepper
 from workbench.records import record
 
-HORIZONS = ("one-step", "one-second", "full-run")
+HORIZONS = ONE_STEP, ONE_SECOND, FULL_RUN = "one-step", "one-second", "full-run"
+BEHIND = "-second"  # a horizon that is not a second, for the plant is unstable, is named by its seconds: "0.14-second"
 SETTLING = 10  # samples at the start of a record that are not counted
 PHASES = 16  # at which a periodic effect is tried on a record
 LANES = 32  # starts a second ahead that run side by side
@@ -117,16 +119,22 @@ def _of_same_amplitude(unknowns: Unknowns, z: np.ndarray) -> np.ndarray:
     return z
 
 
+def horizons(seconds: float) -> tuple[str, str, str]:
+    """One step, so many seconds ahead, and the full run."""
+    return ONE_STEP, ONE_SECOND if seconds == SECOND else f"{seconds:g}{BEHIND}", FULL_RUN
+
+
 def errors(made: Predictor, point: Point, i: int, horizon: str) -> np.ndarray:
-    """Errors (N, ny) of record i "one-step", "one-second" ahead or over the "full-run", NaN where there is none."""
+    """Errors (N, ny) of record i at one of `horizons`, NaN where there is none."""
     r = made.records[i]
     p, eta, start = point.p[None], point.eta[i][None], point.start[i][None]
-    if horizon == "one-step":
+    if horizon == ONE_STEP:
         e = made.errors(i, p, eta, start, white=False)[0]
-    elif horizon == "full-run":
+    elif horizon == FULL_RUN:
         e = r.y - made._run(r, p, eta, start, stepper.Steering()).measured[0]
     else:
-        e = _ahead(made, point, i, max(1, round(1.0 / made.plant.dt)))
+        seconds = SECOND if horizon == ONE_SECOND else float(horizon.removesuffix(BEHIND))
+        e = _ahead(made, point, i, max(1, round(seconds / made.plant.dt)))
     return np.where(np.isfinite(r.y), e, np.nan)
 
 
@@ -157,33 +165,37 @@ class Held:
     """A model on records of others: root mean square errors by record, horizon and channel, and -2 log likelihood.
 
     squares: the squared errors behind each score, sample by sample, NaN where there is none and inf where a run was lost.
+    far: of each score, the error beyond which a run does not follow its record and two of them say nothing; infinite where the
+    plant is stable.
     """
 
     scores: tuple[Score, ...]
     deviance: float
     squares: tuple[np.ndarray, ...] = ()
     dt: float = 0.0
+    far: tuple[float, ...] = ()
 
 
-def errors_on(model: Model, dataset: Dataset) -> Held:
-    """The model's errors on the records of `dataset`, and how likely they are in its light; starts do not count.
+def errors_on(model: Model, dataset: Dataset, seconds: float = SECOND) -> Held:
+    """The model's errors on the records of `dataset`, one of them so many seconds ahead, and how likely they are in its light;
+    starts do not count.
 
     A model of free runs has errors with a filter of its own, and is likely by its free runs.
     """
     made, point = on(filtered(model), dataset)
     weighing, at = on(model, dataset) if model.predictor.simulated else (made, point)
-    squares = [{horizon: _squares(made, point, i, horizon) for horizon in HORIZONS} for i in range(len(made.records))]
+    squares = [{horizon: _squares(made, point, i, horizon) for horizon in horizons(seconds)} for i in range(len(made.records))]
     return _held(made, squares, float(np.sum([_deviances(weighing, at, i)[SETTLING:].sum() for i in range(len(made.records))])))
 
 
-def errors_left_out(model: Model) -> Held:
+def errors_left_out(model: Model, seconds: float = SECOND) -> Held:
     """The same on the model's own records, each part of them with the parameters that the fit finds without it."""
     made = filtered(model).predictor
-    squares = [{horizon: np.full_like(r.y[SETTLING:], np.nan) for horizon in HORIZONS} for r in made.records]
+    squares = [{horizon: np.full_like(r.y[SETTLING:], np.nan) for horizon in horizons(seconds)} for r in made.records]
     deviance = 0.0
     for fold, point in left_out_points(model):
         i, part = fold.record, slice(max(fold.first - SETTLING, 0), max(fold.last - SETTLING, 0))
-        for horizon in HORIZONS:
+        for horizon in horizons(seconds):
             squares[i][horizon][part] = _squares(made, point, i, horizon)[part]
         deviance += float(_deviances(model.predictor, point, i)[SETTLING:][part].sum())
     return _held(made, squares, deviance)
@@ -195,7 +207,7 @@ def _squares(made: Predictor, point: Point, i: int, horizon: str) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         e = errors(made, point, i, horizon)[SETTLING:]
         square = np.where(np.abs(e) < LOST, e**2, np.where(np.isnan(y), np.nan, np.inf))
-    if horizon == "one-second":  # its first second has no error
+    if horizon not in (ONE_STEP, FULL_RUN):  # its first seconds have no error
         square[np.isnan(e)] = np.nan
     return square
 
@@ -206,7 +218,8 @@ def _deviances(made: Predictor, at: Point, i: int) -> np.ndarray:
 
 def _held(made: Predictor, squares: Sequence[Mapping[str, np.ndarray]], deviance: float) -> Held:
     """Scores of squared errors by record and horizon."""
-    found, kept = [], []
+    found, kept, far = [], [], []
+    runs_away = unstable(made)
     for r, by_horizon in zip(made.records, squares, strict=True):
         for horizon, square in by_horizon.items():
             for channel in np.flatnonzero(np.isfinite(r.y).any(axis=0)):
@@ -215,20 +228,29 @@ def _held(made: Predictor, squares: Sequence[Mapping[str, np.ndarray]], deviance
                 rms = float(np.sqrt(told.mean())) if len(told) else np.nan
                 found.append(Score(r.name, horizon, c.name, c.unit, rms if rms < np.inf else np.nan))
                 kept.append(own)
-    return Held(tuple(found), deviance, tuple(kept), made.plant.dt)
+                far.append(FAR * float(spread(r.y)[channel]) if runs_away else np.inf)
+    return Held(tuple(found), deviance, tuple(kept), made.plant.dt, tuple(far))
 
 
 def gained(before: Held, after: Held) -> tuple[Gain, ...]:
-    """Errors of two models beside each other."""
-    pairs = zip(before.scores, after.scores, strict=True)
-    return tuple(Gain(b.channel, b.horizon, b.error, a.error, b.unit, b.record) for b, a in pairs)
+    """Errors of two models beside each other; NaN where neither follows the record, and where one is GONE from it."""
+    found = []
+    for b, a, far in zip(before.scores, after.scores, before.far, strict=True):
+        most = far if min(b.error, a.error) > far else GONE / FAR * far
+        old, new = (s.error if s.error <= most else np.nan for s in (b, a))
+        found.append(Gain(b.channel, b.horizon, old, new, b.unit, b.record))
+    return tuple(found)
 
 
 def ahead(before: Model, after: Model) -> float:
-    """Errors a second ahead on the models' own records, after over before: geometric mean over channels and records."""
+    """Errors a second ahead on the models' own records, after over before: geometric mean over channels and records.
+
+    Of an unstable plant as far ahead as `growth` says.
+    """
     logs = []
+    _, horizon, _ = horizons(reach(before.predictor))
     for i in range(len(before.predictor.records)):
-        e = [errors(m.predictor, m.fit.point, i, "one-second") for m in (before, after)]
+        e = [errors(m.predictor, m.fit.point, i, horizon) for m in (before, after)]
         for j in np.flatnonzero(np.isfinite(e[0]).any(axis=0)):
             old, new = (np.nanmean(x[:, j] ** 2) for x in e)
             logs.append(0.5 * np.log(max(new, 1e-300) / max(old, 1e-300)))

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from workbench.diagnosis.fit import Fit, _evaluate, _inverse
+from workbench.diagnosis.fit import Fit, _evaluate
+from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Predictor
 from workbench.physics.effects.effect import GridUnit
 from workbench.records import field, record
@@ -58,7 +59,7 @@ def profile(predictor: Predictor, fit: Fit, index: int, width: float) -> Profile
         z[index] += step
         vectors.append(unknowns.clip(z))
     others = np.delete(np.arange(unknowns.size), index)
-    answer = _inverse(fit.information[np.ix_(others, others)])
+    answer = inverse(fit.information[np.ix_(others, others)])
     deviance = []
     for tried in _evaluate(predictor, unknowns, vectors, fit.jacobian):
         b = tried.prior.copy()

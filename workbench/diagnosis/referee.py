@@ -3,7 +3,8 @@
     share = 1 - sqrt(sum e_after^2 / sum e_before^2)    by channel and horizon, pooled over the records
 
 One step, one second and the full run ahead. Whether a share is more than noise is told by the differences of squares, summed over
-blocks that are as long as these differences are correlated.
+blocks that are as long as these differences are correlated. Of an unstable plant runs are compared less than a second ahead, and
+where neither of two runs follows the record, their errors say nothing of the models; see `growth`.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,8 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.free_run import simulated
-from workbench.diagnosis.gains import HORIZONS, Held, errors_left_out, errors_on, gained
+from workbench.diagnosis.gains import FULL_RUN, ONE_STEP, Held, errors_left_out, errors_on, gained
+from workbench.diagnosis.growth import fold, reach, unstable
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.diagnosis.refit import Model
@@ -33,7 +35,7 @@ NOTICEABLE = 0.02  # the same from which what is handed out is called worse
 class Change:
     """Pooled root mean square error of a channel at a horizon, before and after; sure: the difference is more than noise.
 
-    NaN where the run was lost.
+    NaN where the run was lost; both are where neither follows the record, and nothing is known of which is better.
     """
 
     channel: str
@@ -44,10 +46,20 @@ class Change:
     sure: bool
 
     @property
+    def known(self) -> bool:
+        """Whether it says which of the two is better."""
+        return not (np.isnan(self.before) and np.isnan(self.after))
+
+    @property
+    def ahead(self) -> bool:
+        """Whether it is a second ahead, or as far as runs of an unstable plant are compared."""
+        return self.horizon not in (ONE_STEP, FULL_RUN)
+
+    @property
     def share(self) -> float:
         """What was taken off the error, relative to before; -inf where the run is lost now, inf where it was lost before."""
         if np.isnan(self.before) or np.isnan(self.after):
-            return 0.0 if np.isnan(self.before) and np.isnan(self.after) else (np.inf if np.isnan(self.before) else -np.inf)
+            return 0.0 if not self.known else (np.inf if np.isnan(self.before) else -np.inf)
         return 1.0 - self.after / self.before if self.before > 0.0 else 0.0
 
     def __str__(self) -> str:
@@ -58,16 +70,19 @@ def changes(before: Held, after: Held) -> tuple[Change, ...]:
     """A change for every channel and horizon."""
     found = []
     keys = dict.fromkeys((s.horizon, s.channel, s.unit) for s in before.scores)
-    for horizon, channel, unit in sorted(keys, key=lambda key: HORIZONS.index(key[0])):
+    for horizon, channel, unit in sorted(keys, key=lambda key: (key[0] != ONE_STEP) + (key[0] == FULL_RUN)):
         own = [k for k, s in enumerate(before.scores) if (s.horizon, s.channel) == (horizon, channel)]
+        far = float(np.sqrt(np.mean([before.far[k] ** 2 for k in own]))) if before.far else np.inf
         pairs = [(before.squares[k], after.squares[k]) for k in own]
         told = [~np.isnan(b) & ~np.isnan(a) for b, a in pairs]
         pairs = [(b[t], a[t]) for (b, a), t in zip(pairs, told, strict=True) if t.any()]
         if not pairs:
             continue
         old, new = (float(np.sqrt(np.mean(np.concatenate(side)))) for side in zip(*pairs, strict=True))
+        if min(old, new) > far:
+            old = new = np.inf
         lost = not np.isfinite([old, new]).all()
-        sure = lost or _sure([a - b for b, a in pairs], old, new, round(1.0 / before.dt) if horizon != "one-step" else 1)
+        sure = lost or _sure([a - b for b, a in pairs], old, new, round(1.0 / before.dt) if horizon != ONE_STEP else 1)
         old, new = (v if np.isfinite(v) else np.nan for v in (old, new))
         found.append(Change(channel, horizon, unit, old, new, sure))
     return tuple(found)
@@ -101,13 +116,25 @@ class Judge:
 
     def __init__(self, dataset: Dataset, held_out: bool):
         self.dataset, self.held_out, self._known = dataset, held_out, []
+        self._seconds = 0.0  # how far ahead, the same for all models
 
     def of(self, model: Model) -> Held:
         for other, held in self._known:
             if other is model:
                 return held
-        self._known.append((model, errors_on(model, self.dataset) if self.held_out else errors_left_out(model)))
+        s = self._seconds = self._seconds or reach(model.predictor)
+        self._known.append((model, errors_on(model, self.dataset, s) if self.held_out else errors_left_out(model, s)))
         return self._known[-1][1]
+
+    def compared(self, model: Model) -> str:
+        """How far free runs of an unstable plant are compared, a sentence; empty of a stable one."""
+        if not unstable(model.predictor):
+            return ""
+        grows, seconds = fold(model.predictor), self._seconds or reach(model.predictor)
+        return (
+            f"{model.predictor.plant.name} is unstable, what is off grows e-fold in {grows:.2g} s: free runs are compared up to "
+            f"{seconds:g} s ahead, and further only where one of them follows the record"
+        )
 
     def between(self, before: Model, after: Model) -> tuple[Change, ...]:
         return changes(self.of(before), self.of(after))
@@ -122,7 +149,7 @@ class Judge:
 
     def longer(self, before: Model, after: Model) -> float:
         """Errors a second and the full run ahead, after over before: geometric mean over channels."""
-        kept = [max(1.0 - c.share, 1e-9) for c in self.between(before, after) if c.horizon != "one-step"]
+        kept = [max(1.0 - c.share, 1e-9) for c in self.between(before, after) if c.horizon != ONE_STEP and c.known]
         return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
 
     def better_ahead(self, model: Model) -> Model:
@@ -149,12 +176,12 @@ def as_given(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int
 
 def helps(found: Sequence[Change], least: float) -> bool:
     """Whether some error falls by a share of `least`: one step or one second ahead, or over the full run by more than noise."""
-    return any(c.share >= least and (c.horizon != "full-run" or c.sure) for c in found)
+    return any(c.share >= least and (c.horizon != FULL_RUN or c.sure) for c in found)
 
 
 def harms(found: Sequence[Change]) -> tuple[Change, ...]:
     """Errors one step or one second ahead that rise by more than noise; full runs of phases and integrals are noise."""
-    return tuple(c for c in found if c.horizon != "full-run" and c.sure and c.share < -LOSS)
+    return tuple(c for c in found if c.horizon != FULL_RUN and c.sure and c.share < -LOSS)
 
 
 def worse(found: Sequence[Change]) -> tuple[Change, ...]:

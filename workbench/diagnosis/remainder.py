@@ -178,7 +178,11 @@ def _scores(model: Model, channel: tuple[str, str], bases: Iterable[list[np.ndar
     for i, (g, e) in enumerate(zip(responses, fit.errors, strict=True)):
         projected = g - fit.projected(i, weights)
         blocks.append(np.add.reduceat(projected * e.ravel()[:, None], _blocks(predictor, i), axis=0))
-    return b, S, np.concatenate(blocks), [basis[0].shape[1] for basis in bases]
+    lost = ~(np.isfinite(S).all(axis=0) & np.isfinite(b))  # what leaves the numbers explains nothing
+    b[lost], S[lost], S[:, lost] = 0.0, 0.0, 0.0
+    by_block = np.concatenate(blocks)
+    by_block[:, lost] = 0.0
+    return b, S, by_block, [basis[0].shape[1] for basis in bases]
 
 
 def _pinv(S: np.ndarray) -> np.ndarray:

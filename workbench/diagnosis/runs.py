@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.data import Experiment
+from workbench.diagnosis.normal import solve
 from workbench.diagnosis.predictor import player
 from workbench.diagnosis.starts import start_of
 from workbench.errors import InputError
@@ -143,12 +144,19 @@ class Runner:
         x, _ = self.plant.equilibrium()
         try:
             found = start_of(self.plant, self.y, self.u, k)[0]
-        except (np.linalg.LinAlgError, InputError):  # a root at 0 has no slope, an output without noise no information
+        except InputError:
             return x
         return found if np.isfinite(found).all() else x
 
     def _fitted(self, u: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Starts (R, nx) that fit y (R, M, ny) under u (R, M, nu), from the guesses x (R, nx); see the module."""
+        """Starts (R, nx) that fit y (R, M, ny) under u (R, M, nu), from the guesses x (R, nx); see the module.
+
+        A run that is lost, or whose slopes leave the numbers, stays where it is.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._best_starts(u, y, x)
+
+    def _best_starts(self, u: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         R, nx = x.shape
         weight = np.where(self.spread > 0.0, 1.0 / np.where(self.spread > 0.0, self.spread, 1.0), 0.0)
         prior, step, guess = PRIOR * y.shape[1] * np.eye(nx) / self.scale**2, 1e-4 * self.scale, x
@@ -171,7 +179,7 @@ class Runner:
             known = np.asarray(np.isfinite(J).all(axis=(1, 2)) & np.isfinite(r).all(axis=1))
             J, own = np.where(known[:, None, None], J, 0.0), np.where(known[:, None], r, 0.0)
             g = np.einsum("rik,rk->ri", J, own) + (x - guess) @ prior
-            change = -np.linalg.solve(J @ J.transpose(0, 2, 1) + prior, g[:, :, None])[:, :, 0]
+            change = -solve(J @ J.transpose(0, 2, 1) + prior, g)
             for share in (1.0, 0.3):
                 trial = x + share * change
                 other = missed(trial, u, y)

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.stats import gamma, gumbel_r
 
-from workbench.diagnosis.fit import Fit, _inverse
+from workbench.diagnosis.fit import Fit
+from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Point, Predictor
 from workbench.diagnosis.scan import Scan, scan_frequencies, scan_orders
 from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
@@ -52,7 +53,8 @@ class Signature:
     """What a variant changes, projected: b = G*'e and S = G*'G*, and where asked for the columns G* (rows of all records, c).
 
     scale (c): size that each column is per unit of. blocks (nb, c): G*'e by block of samples. weights (n, c): how the fitted
-    unknowns mimic each column.
+    unknowns mimic each column. checked: the limit as an effect of its size has it, infinite where it has none; NaN where nobody
+    looked. See `detection`.
     """
 
     variant: Variant
@@ -63,6 +65,17 @@ class Signature:
     weights: np.ndarray = field("n c")
     low: np.ndarray = field("c")
     columns: np.ndarray | None = None
+    checked: float = np.nan
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the size is a level that is met or not, the limit of an actuator: it is tried as it is."""
+        return self.variant.key.startswith("saturation@")
+
+    @property
+    def responds(self) -> bool:
+        """Whether the errors change at all beyond what the unknowns mimic."""
+        return bool(np.trace(self.S) > 1e-12)
 
     @property
     def statistic(self) -> float:
@@ -72,7 +85,7 @@ class Signature:
     @property
     def size(self) -> np.ndarray:
         """One-step estimate of the sizes (c), in their own units."""
-        return -_inverse(self.S) @ self.b * self.scale
+        return -inverse(self.S) @ self.b * self.scale
 
     @property
     def limit(self) -> float:
@@ -80,7 +93,9 @@ class Signature:
 
         Of a limit of an actuator, this level itself where its clipping shows, else infinite.
         """
-        if self.variant.key.startswith("saturation@"):
+        if not np.isnan(self.checked):
+            return self.checked
+        if self.is_level:
             return self.variant.finite if self.S[0, 0] > SHOWN**2 else np.inf
         if self.variant.phase:  # the records share the amplitude, half of it in each of two columns
             return float(SHOWN * self.scale[0] / np.sqrt(max(np.trace(self.S) / 2.0, 1e-300)))
@@ -354,7 +369,7 @@ def _norms(predictor: Predictor, point: Point, at: np.ndarray, steps: Sequence[t
 
 def _reduction(b: np.ndarray, S: np.ndarray, low: np.ndarray, variant: Variant) -> np.ndarray:
     """b'S^-1 b for rows of b (R, c); 0 where the one size would have to lie below its bound."""
-    value = np.einsum("ri,ij,rj->r", b, _inverse(S), b)
+    value = np.einsum("ri,ij,rj->r", b, inverse(S), b)
     if S.shape[0] == 1 and (low[0] >= 0.0 or not np.isnan(variant.finite)):
         value = np.where(b[:, 0] < 0.0, value, 0.0)  # e + G eta: the size is -b/S
     return value

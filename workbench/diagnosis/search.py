@@ -10,6 +10,7 @@ import numpy as np
 
 from workbench.diagnosis.answer import ROUNDED
 from workbench.diagnosis.confirm import folds, left_out, stability
+from workbench.diagnosis.detection import holding
 from workbench.diagnosis.gains import ahead
 from workbench.diagnosis.lags import timed
 from workbench.diagnosis.policy import (
@@ -137,7 +138,7 @@ class Search:
             self.lesser = Lesser(small_sizes(model.predictor, model.fit))
         found = screen_effects(model, [k for k in self.keys if k not in model.keys], self.lesser.sizes, columns=first)
         if first:
-            self.tested = [min(s.all, key=_most_shown) for s in found]
+            self.tested = holding(model.predictor, model.fit, [min(s.all, key=_most_shown) for s in found])
         return found
 
 
@@ -466,7 +467,7 @@ def pruned(base: Model, steps: list[Step], lesser: Lesser) -> list[Step]:
 
 def _most_shown(s: Signature) -> float:
     """Smallest for the variant that shows at the smallest size; an actuator's limit shows best where it is highest."""
-    return -s.limit if s.variant.key.startswith("saturation@") and np.isfinite(s.limit) else s.limit
+    return -s.limit if s.is_level and np.isfinite(s.limit) else s.limit
 
 
 def effect_and_place(key: str) -> tuple[str, str]:

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from workbench.diagnosis.normal import inverse
 from workbench.physics.plant import Plant
 
 NEAR = 0.05  # of the size that a state goes through: with less of it, it rests near 0
@@ -25,7 +26,10 @@ def start_of(plant: Plant, y: np.ndarray, u: np.ndarray, k: int = 0) -> tuple[np
         z = np.array(plant.output(x, plant.nominal, u[k]), dtype=float)[seen]
         R = np.diag((1e-3 * np.abs(C) @ scale) ** 2 + noise[seen] ** 2)
         P = np.diag(scale**2)
-        x = x + P @ C.T @ np.linalg.solve(C @ P @ C.T + R, y[k, seen] - z)
+        e = y[k, seen] - z
+        told = np.isfinite(C).all(axis=1) & np.isfinite(e)  # a root at 0 has no slope
+        C, R, e = C[told], R[np.ix_(told, told)], e[told]
+        x = x + P @ C.T @ inverse(C @ P @ C.T + R) @ e
     return x, scale
 
 

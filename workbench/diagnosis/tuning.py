@@ -4,11 +4,15 @@
 
 by L-BFGS-B with exact slopes. The likelihood is that of the linearized plant about the predictor's own trajectory. Where it does
 not care about a level, the level stays as expected; one that is none can grow again, which its logarithm would not.
+
+An unstable plant keeps some push of its states. Without any its filter corrects nothing: predictions are a free run in which a
+millionth of a parameter, a start or an effect grows to all that a record shows, and would count as known to that millionth.
 """
 
 import numpy as np
 from scipy.optimize import minimize
 
+from workbench.diagnosis.growth import unstable
 from workbench.diagnosis.kalman import Linearization, likelihood
 from workbench.diagnosis.predictor import Noise, Predictor, with_decays
 
@@ -16,7 +20,7 @@ READING = 2.0 * np.log(3.0)  # width for the variance of a measurement, which th
 PUSHING = 2.0 * np.log(30.0)  # the same of what pushes the states
 LASTING = np.log(5.0)  # the same of a coloured part's time constant
 FLOOR = 0.03
-LEAST = 1e-4  # of the variance of a measurement: without any the filter has no gain
+LEAST = 1e-4  # of the variance of a measurement, and of what pushes an unstable plant: without any the filter has no gain
 LARGEST = np.log(1e16)  # of a variance over what is expected
 SHORTEST = 5.0  # samples: a push that fades faster is as good as white
 MEMORY = 3.0  # s, the slowest coloured torque; what is slower shall be explained
@@ -51,7 +55,8 @@ class _Tuning:
         levels = self.is_push[:-2]
         self.width = np.append(np.where(levels, PUSHING, READING), [LASTING, LASTING])
         self.middle = np.append(np.full(len(levels), np.log(1.0 + FLOOR)), _times(predictor.expected))
-        lowest = np.log(FLOOR + np.where(levels, 0.0, LEAST))
+        pushed = np.arange(len(levels)) < nw
+        lowest = np.log(FLOOR + np.where(levels & ~(pushed & unstable(predictor)), 0.0, LEAST))
         spans = ((SHORTEST * self.dt, MEMORY), (QUICKEST * self.dt, FADED))
         times = [(shortest, max(longest, shortest)) for shortest, longest in spans]
         self.bounds = np.array([*((low, LARGEST) for low in lowest), *np.log(times)])

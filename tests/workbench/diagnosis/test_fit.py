@@ -12,7 +12,8 @@ from scipy.stats import chi2
 from tests.strangers.two_mass import PLANT as PLAY
 from tests.workbench.diagnosis.cases import AXIS, axis_predictor, axis_records, fitted, noise, refitted, steps, with_effect
 from workbench.data import Channel, Dataset
-from workbench.diagnosis.fit import Term, _inverse, gauss_newton, jacobian, sharpened, small_steps, term
+from workbench.diagnosis.fit import Term, gauss_newton, jacobian, sharpened, small_steps, term
+from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Noise, predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.physics.controller import Playback
@@ -246,9 +247,9 @@ def test_an_effect_with_a_phase_costs_two_numbers_and_one_for_every_further_reco
 
 
 def test_directions_without_information_stay_finite_and_leave_the_others_alone():
-    inverse = _inverse(np.diag([4.0, 0.0, 1e-30]))
-    assert np.all(np.isfinite(inverse))
-    assert inverse[0, 0] == pytest.approx(0.25)
+    found = inverse(np.diag([4.0, 0.0, 1e-30]))
+    assert np.all(np.isfinite(found))
+    assert found[0, 0] == pytest.approx(0.25)
     units = np.array([1e-6, 1.0, 1e8])  # of any size
     J = np.random.default_rng(0).standard_normal((5, 3))
-    np.testing.assert_allclose(_inverse((J * units).T @ (J * units)) * np.outer(units, units), np.linalg.inv(J.T @ J), rtol=1e-9)
+    np.testing.assert_allclose(inverse((J * units).T @ (J * units)) * np.outer(units, units), np.linalg.inv(J.T @ J), rtol=1e-9)
