@@ -23,6 +23,7 @@ from workbench.readers import check_units, read_file, write_csv
 from workbench.records import record
 
 DURATION = 60.0  # s, of a loop that holds its set-points
+FAR = 100.0  # times the largest set-point, beyond which a loop is lost
 
 
 @record
@@ -281,6 +282,10 @@ def _loop_scores(law: Loop, run: Experiment) -> list[dict[str, Any]]:
         unit = next(c.unit for c in run.channels if c.name == measured)
         numbers = ", ".join(f"{key} {value:.4g} {unit}" for key, value in values.items())
         say(f"  {measured}: error {numbers} s")
+        gone = np.abs(run[reference] - run[measured]) > FAR * np.abs(run[reference]).max()
+        if gone.any() and np.any(run[reference]):
+            at = run.t[int(gone.argmax())] - run.t[0]
+            say(f"  the loop is lost: {at:.4g} s after the start {measured} is {FAR:g} times its set-point away from it")
         scores.append({"output": measured, "reference": reference, "unit": unit} | values)
     return scores
 

@@ -286,3 +286,25 @@ def test_an_equation_that_commands_no_number_is_told_as_such(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(SWEEP.format(more=""))
     assert main(["sweep", str(tmp_path / "s.toml"), "--controller", law, "--out", str(tmp_path / "swept")]) == 0
     assert "the first: the law commands no number after " in capsys.readouterr().out
+
+
+RUNAWAY = """
+from workbench import Channel, Plant, Start
+from controllers.pid import pid
+
+WEAK = pid(("u",), ("y",), ("y_set",), 0.01, [[0.1]], [[0.1]])
+PLANT = Plant(
+    name="runaway", states=(Channel("x", "m"),), inputs=(Channel("u", "N", "input"),), outputs=(Channel("y", "m", "output"),),
+    parameters=(), equation=lambda x, u, p, at: {"x": 4.0 * x.x + u.u}, measure=lambda x, p: {"y": x.x}, dt=0.01,
+    start=Start({"x": 0.0}, ("u",), ("x",)),
+)
+"""
+
+
+@pytest.mark.slow
+def test_a_loop_that_runs_away_is_said_to_be_lost(tmp_path, capsys):
+    path = tmp_path / "runaway.py"
+    path.write_text(RUNAWAY)
+    words = ["simulate", f"{path}:PLANT", "--controller", f"{path}:WEAK", "--setpoint", "y=1", "--duration", "3"]
+    assert main([*words, "--out", str(tmp_path / "run")]) == 0
+    assert "the loop is lost: " in capsys.readouterr().out

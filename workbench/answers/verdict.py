@@ -7,6 +7,7 @@ import numpy as np
 from workbench.diagnosis.answer import NO_SIZE, ROUNDED, Cause, Diagnosis, Finding, Gain, Limit
 from workbench.diagnosis.stages import StageError
 
+MOST_DIGITS = 10
 HEADLINES = {
     Finding.NAMED: "NAMED: what the simulation of {plant} lacks has a name and a size; mend the machine, or go on with the "
     "extended plant.",
@@ -86,9 +87,18 @@ def stated(cause: Cause) -> str:
 
 def sizes(cause: Cause) -> str:
     """The numbers of a cause with 95 % intervals and units."""
-    return ", ".join(
-        f"{name} {e.value:.4g}{_unit(e.unit)} (95 %: {e.low:.4g} to {e.high:.4g})" for name, e in cause.parameters.items()
-    )
+    said = []
+    for name, e in cause.parameters.items():
+        value, low, high = _told((e.value, e.low, e.high))
+        said.append(f"{name} {value}{_unit(e.unit)} (95 %: {low} to {high})")
+    return ", ".join(said)
+
+
+def _told(numbers: tuple[float, float, float]) -> list[str]:
+    """A value and the ends of its interval, in as many digits as tell these from each other, four at least."""
+    width, size = numbers[2] - numbers[1], max(map(abs, numbers))
+    digits = 4 if not 0.0 < width < np.inf else int(np.clip(np.ceil(np.log10(size / width)) + 2, 4, MOST_DIGITS))
+    return [f"{number:.{digits}g}" for number in numbers]
 
 
 def _staged(errors: Sequence[StageError], held_out: bool) -> str:
