@@ -340,7 +340,8 @@ class MPC(Receding):
         nx, nu = B.shape
         Az, Bz = np.block([[A, B], [np.zeros((nu, nx)), np.eye(nu)]]), np.vstack([B, np.eye(nu)])
         Q = np.zeros((nx + nu, nx + nu))
-        Q[:nx, :nx], Q[nx:, nx:] = C.T @ self._Q @ C, self._R
+        with np.errstate(over="ignore", invalid="ignore"):  # what leaves the numbers is refused below
+            Q[:nx, :nx], Q[nx:, nx:] = C.T @ self._Q @ C, self._R
         cross = np.vstack([np.zeros((nx, nu)), self._R])
         S = self._S + self._R
         try:

@@ -52,7 +52,7 @@ def turning() -> LPVModel:
     """The same with dynamics and gains that turn over a schedule."""
     one, two, turned = still(), 0.95 * A, B @ np.array([[0.8, -0.2], [0.3, 1.1]])
     return replace(
-        one, schedule=Channel("r2", "m", "schedule"), span=np.array([1.0, 2.0]), basis=PiecewiseLinear((1.0, 2.0)),
+        one, schedules=(Channel("r2", "m", "schedule"),), spans=[[1.0, 2.0]], basis=PiecewiseLinear((1.0, 2.0)),
         terms=(Term(0), Term(1)), A=np.stack([A, two]), B=np.stack([B, turned]), C=np.stack([C, C]), D=np.zeros((2, 2, 2)),
         predictor=Predictor(np.stack([A - K @ C, two - K @ C]), np.stack([B, turned]), np.stack([K, K])),
     )  # fmt: skip
