@@ -155,6 +155,14 @@ def feedback(experiment: Experiment, *, order: int = 10, lags: int = 10) -> Feed
     )
 
 
+def in_a_loop(experiment: Experiment) -> bool:
+    """Whether set-points are logged, or inputs answer outputs; no where the record cannot tell."""
+    try:
+        return bool(experiment.names_of("reference")) or feedback(experiment).detected
+    except InputError:  # too short, or nothing moves
+        return False
+
+
 def _standard(values: np.ndarray) -> np.ndarray:
     return (values - values.mean(axis=0)) / values.std(axis=0)
 

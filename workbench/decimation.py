@@ -17,9 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.advice import feedback
+from workbench.advice import in_a_loop
 from workbench.data import SAME_DT, Dataset, Experiment, bad_stamps
-from workbench.errors import InputError
 from workbench.physics.plant import Plant
 from workbench.physics.sample_time import SAME_TIMES, SIXTY
 
@@ -42,7 +41,7 @@ def thinned(dataset: Dataset, dt: float | None = None, plant: Plant | None = Non
     if abs(wanted - dataset.dt) <= SAME_DT * dataset.dt:
         return dataset, ""
     named = [_named(e, plant) for e in dataset] if plant else list(dataset)
-    closed = any(map(_in_a_loop, named))
+    closed = any(map(in_a_loop, named))
     thin = [e.resample(wanted * e.dt / dataset.dt, filtered=not closed) for e in named]
     done = Dataset(tuple(replace(own, channels=e.channels) for own, e in zip(thin, dataset, strict=True)))
     why = "as asked" if dt is not None else f"{plant.name} is sampled every {plant.dt:g} s" if plant else "nothing moves faster"
@@ -57,14 +56,6 @@ def _named(e: Experiment, plant: Plant) -> Experiment:
     """The record with the roles that the channels of its plant have: which are commands, a file does not say."""
     inputs, outputs = ([c.name for c in own if c.name in e.names] for own in (plant.inputs, plant.outputs))
     return e.with_roles(inputs=[name for name in inputs if name in plant.commanded], outputs=outputs)
-
-
-def _in_a_loop(e: Experiment) -> bool:
-    """Whether set-points are logged, or inputs answer outputs."""
-    try:
-        return bool(e.names_of("reference")) or feedback(e).detected
-    except InputError:  # nothing that moves
-        return False
 
 
 def _by_plant(dataset: Dataset, plant: Plant) -> int:

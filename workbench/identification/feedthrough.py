@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from workbench.advice import feedback
+from workbench.advice import feedback, in_a_loop
 from workbench.data import Dataset, Experiment
-from workbench.errors import InputError
 from workbench.metrics import fit
 from workbench.records import field, record
 
@@ -40,14 +39,7 @@ def loop_around_unstable(dataset: Dataset, order: int = 4) -> "Arx | None":
     if not (first.names_of("input") and first.names_of("output")) or min(map(len, dataset)) < SHORTEST * order:
         return None
     own = Arx.of(dataset, order, first=1)
-    return own if own.radius > 1.0 and all(_fed_back(e) for e in dataset) else None
-
-
-def _fed_back(e: Experiment) -> bool:
-    try:
-        return bool(e.names_of("reference")) or feedback(e).detected
-    except InputError:  # too short, or nothing moves
-        return False
+    return own if own.radius > 1.0 and all(map(in_a_loop, dataset)) else None
 
 
 @record
