@@ -84,7 +84,7 @@ class Stability:
     """
 
     radius: float
-    at: "float | tuple[float, ...]"
+    at: float | tuple[float, ...]
     unknown: tuple[float, ...] = ()
 
     @property
@@ -183,33 +183,25 @@ class LPVModel:
         return self.clipped(self.measured_schedule(experiment))
 
     def measured_schedule(self, experiment: Experiment) -> np.ndarray:
-        """The schedule as it was measured, (N,) or (N, ns); zeros for a model without."""
-        if not self.schedules:
-            return np.zeros(len(experiment))
-        return experiment[self.schedules[0].name] if len(self.schedules) == 1 else experiment[[c.name for c in self.schedules]]
+        """The schedule as it was measured; see `scheduled`."""
+        return scheduled(experiment, self.schedules)
 
     def clipped(self, rho: np.ndarray) -> np.ndarray:
         """Schedule values, moved into the spans and what `reach` adds to them."""
-        low, high = self._ends
+        low, high = ends(self.spans)
         beyond = self.reach * (high - low)
         return np.clip(rho, low - beyond, high + beyond)
 
     def outside(self, rho: np.ndarray) -> float:
         """How far the schedule leaves the model's span, in widths of the span: 0 inside, NaN where rho is not a number."""
-        low, high = self._ends
+        low, high = ends(self.spans)
         width = np.where(high > low, high - low, 1.0)
         return float(np.max(np.maximum(low - rho, rho - high) / width, initial=0.0))
 
     @property
-    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest schedule values, numbers for one variable at most and (ns,) for several."""
-        low, high = (self.spans if self.schedules else np.zeros((1, 2))).T
-        return (low, high) if len(low) > 1 else (low[0], high[0])
-
-    @property
     def middle(self) -> np.ndarray:
         """The schedule value in the middle of the spans."""
-        return np.mean(self._ends, axis=0)
+        return np.mean(ends(self.spans), axis=0)
 
     def grid(self, points: int) -> np.ndarray:
         """Schedule values over the spans and what `reach` adds to them; see `lattice`."""
@@ -228,6 +220,10 @@ class LPVModel:
         late = np.arange(len(rho))[:, None] - np.maximum([term.delay for term in self.terms], newest)
         return phi[np.maximum(late, 0), [term.function for term in self.terms]]
 
+    def still(self, rho: np.ndarray) -> np.ndarray:
+        """phi_j(rho), (n, nt): the weights of the terms at schedule values that stand still."""
+        return self.basis(rho)[:, [term.function for term in self.terms]]
+
     def freeze(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C, D at a constant schedule value; a model without schedule needs none.
 
@@ -243,7 +239,7 @@ class LPVModel:
                 for c, (low, high) in zip(self.schedules, self.spans, strict=True)
             )
             raise InputError(given, file=self.name, mend=f"the model knows {known}")
-        weight = self.weights(self.clipped(value)[None])[0]
+        weight = self.still(self.clipped(value)[None])[0]
         return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
 
     def linearise(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -274,8 +270,7 @@ class LPVModel:
         """Spectral radius of A on a grid over the span; see `Stability`."""
         grid, unknown = self.grid(points), []
         if self.scheduled_output is None:
-            A = np.tensordot(self.basis(grid)[:, [term.function for term in self.terms]], self.A, 1)
-            found = np.abs(np.linalg.eigvals(A)).max(axis=1, initial=0.0)
+            found = np.abs(np.linalg.eigvals(np.tensordot(self.still(grid), self.A, 1))).max(axis=1, initial=0.0)
             worst = int(np.argmax(found))
             at = grid[worst]
             return Stability(float(found[worst]), tuple(at.tolist()) if at.ndim else float(at))
@@ -486,6 +481,19 @@ def check_schedule_from_outside(model: LPVModel, task: str) -> None:
             file=model.name,
             mend="identify with --schedule none, or with another schedule; to_control(rho) has the linearisation about a point",
         )
+
+
+def scheduled(experiment: Experiment, schedules: Sequence[Channel]) -> np.ndarray:
+    """The schedule of a record as it was measured, (N,), of several variables (N, ns); zeros without any."""
+    if not schedules:
+        return np.zeros(len(experiment))
+    return experiment[schedules[0].name] if len(schedules) == 1 else experiment[[c.name for c in schedules]]
+
+
+def ends(spans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest schedule values of spans (ns, 2): numbers for one variable, 0 for none, (ns,) for several."""
+    low, high = (spans if len(spans) else np.zeros((1, 2))).T
+    return (low, high) if len(low) > 1 else (low[0], high[0])
 
 
 def lattice(spans: np.ndarray, points: int) -> np.ndarray:

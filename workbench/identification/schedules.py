@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from workbench.basis import Basis, Powers, Products, polynomials
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.lpv import check_one_if_output
@@ -25,14 +26,23 @@ def schedules_of(first: Experiment) -> tuple[Channel, ...]:
     return schedules
 
 
-def scheduled(e: Experiment, schedules: Sequence[Channel]) -> np.ndarray:
-    """The schedule of a record, (N,), of several variables (N, ns); zeros without any."""
-    if not schedules:
-        return np.zeros(len(e))
-    return e[schedules[0].name] if len(schedules) == 1 else e[[c.name for c in schedules]]
-
-
 def spans_of(dataset: Dataset, schedules: Sequence[Channel]) -> np.ndarray:
     """The lowest and highest value of each schedule variable over all records, (ns, 2)."""
     rho = np.concatenate([e[[c.name for c in schedules]] for e in dataset])
     return np.stack([rho.min(axis=0), rho.max(axis=0)], axis=1)
+
+
+def polynomials_over(spans: np.ndarray, degree: int) -> Basis:
+    """Every product of the schedule variables, each over its largest value in spans (ns, 2), up to a total degree."""
+    largest = np.abs(spans).max(axis=1)
+    scales = np.where(largest > 0.0, largest, 1.0)
+    return polynomials(degree, scales) if len(scales) > 1 else Powers(np.arange(degree + 1.0), float(scales[0]))
+
+
+def check_variables(basis: Basis, schedules: Sequence[Channel]) -> None:
+    """Refuse a basis of another number of variables."""
+    known = len(basis.factors) if isinstance(basis, Products) else 1
+    if known != len(schedules):
+        names = ", ".join(c.name for c in schedules)
+        problem = f"a basis of {known} variables for {len(schedules)} schedules"
+        raise InputError(problem, channel=names, mend="give Products of one factor for each, or no basis")

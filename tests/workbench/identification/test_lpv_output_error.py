@@ -9,6 +9,7 @@ from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.output_error.fence import Fence
 from workbench.identification.output_error.free_numbers import FreeNumbers
+from workbench.identification.output_error.state_space import widened
 from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 
 DT = 0.05
@@ -57,7 +58,7 @@ def test_the_slope_of_the_fence_is_that_of_its_cost():
         OperatingPoint(constant(2), [[0.0]], [[0.0]]), Predictor(A, B, K, 5),
     )  # fmt: skip
     own = FreeNumbers.all_of(model, direct=False)
-    fence = Fence(model, model.spans, 0.98, 40.0)
+    fence = Fence(model, 0.98, 40.0)
     cost, H, b = fence.normal(own)
     assert cost > 1.0  # many points are beyond it
     assert cost == pytest.approx(fence.cost(own.moved(own.values).model))
@@ -81,6 +82,19 @@ def test_a_machine_of_two_schedules_is_found():
     for p, q in ((-0.8, 0.8), (0.0, 0.0), (0.8, -0.8)):
         exact = np.linalg.eigvals(np.array([[1.0, DT], [-DT * (4.0 + 3.0 * p), 1.0 - DT * (1.0 + 0.5 * q)]]))
         np.testing.assert_allclose(np.sort_complex(model.to_control((p, q)).poles()), np.sort_complex(exact), atol=0.01)
+
+
+def test_a_state_more_changes_no_run_until_it_is_fitted():
+    """What begins at a model with a state less is that model: the same free runs, one pole more that the inputs move."""
+    data, _ = records(8, count=1, N=210)
+    model = wb.LPVOutputError(order=2, degree=1).fit(data)
+    wider = widened(model)
+    assert wider.order == 3
+    for e in data:
+        np.testing.assert_allclose(wider.simulate(e, warmup=0), model.simulate(e, warmup=0), atol=1e-12)
+    assert np.abs(wider.B[:, -1]).max() > 0.0
+    own = FreeNumbers.all_of(wider, direct=False)
+    np.testing.assert_allclose(own.moved(own.values).model.stability(21).radius, model.stability(21).radius, rtol=1e-9)
 
 
 def test_sparse_set_membership_takes_several_schedules():
@@ -113,6 +127,8 @@ def test_what_it_cannot_take_is_refused():
     own = data.with_roles(outputs=["y"], schedule=["y"])
     with pytest.raises(InputError, match="this one is an output"):
         wb.LPVOutputError().fit(own)
+    with pytest.raises(InputError, match="a basis of 1 variables for 2 schedules"):
+        wb.LPVOutputError(order=1, basis=wb.Powers([0.0, 1.0])).fit(data)
     with pytest.raises(InputError, match="order 0"):
         wb.LPVOutputError(order=0)
     with pytest.raises(InputError, match="degree 0"):

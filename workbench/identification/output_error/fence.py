@@ -13,16 +13,16 @@ import numpy as np
 
 from workbench.identification.output_error.free_numbers import FreeNumbers
 from workbench.identification.output_error.passes import IN_A
-from workbench.lpv import LPVModel, lattice
+from workbench.lpv import LPVModel
 
 POINTS = 15  # of each of two schedule variables
 
 
 class Fence:
-    """Rows of a least-squares problem for poles beyond `limit` over the spans (ns, 2) of a model's basis."""
+    """Rows of a least-squares problem for poles beyond `limit` over the grid of a model."""
 
-    def __init__(self, model: LPVModel, spans: np.ndarray, limit: float, weight: float):
-        self.phi = model.basis(lattice(spans, POINTS))[:, [term.function for term in model.terms]]
+    def __init__(self, model: LPVModel, limit: float, weight: float):
+        self.phi = model.still(model.grid(POINTS))
         self.limit, self.root = limit, np.sqrt(weight)
 
     def cost(self, model: LPVModel) -> float:

@@ -5,11 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
+from workbench.basis import unity
 from workbench.identification.output_error.passes import IN_A, IN_B, IN_C, IN_D, IN_GAIN, IN_OFFSET, IN_ZERO
 from workbench.lpv import LPVModel, OperatingPoint, Predictor
 from workbench.records import record
-
-SAME = 1e-9  # what a basis may miss of the constant 1
 
 
 @record
@@ -63,8 +62,8 @@ class FreeNumbers:
         for (kind, t, r, c), value in zip(self.places, values, strict=True):
             own[kind][t, r, c] = value
         A, B, C, D = (own[kind] for kind in (IN_A, IN_B, IN_C, IN_D))
-        gain, unity = own[IN_GAIN][0], constant_weights(self.model)
-        predictor = Predictor(A - gain @ C, B - gain @ D, unity[:, None, None] * gain, self.model.warmup)
+        gain, weight = own[IN_GAIN][0], constant_weights(self.model)
+        predictor = Predictor(A - gain @ C, B - gain @ D, weight[:, None, None] * gain, self.model.warmup)
         point = replace(self.model.operating_point, u=own[IN_ZERO][:, 0], y=own[IN_OFFSET][:, :, 0])
         return replace(self, model=replace(self.model, A=A, B=B, C=C, D=D, operating_point=point, predictor=predictor))
 
@@ -79,13 +78,13 @@ class FreeNumbers:
 
 def constant_weights(model: LPVModel) -> np.ndarray:
     """Weights q (nt) with sum_j q_j phi_j(rho(k - d_j)) = 1: terms without a delay; NaN where the basis has no constant."""
-    grid = model.basis(model.grid(41))
-    now = [j for j, term in enumerate(model.terms) if term.delay == 0]
-    phi = grid[:, [model.terms[j].function for j in now]]
+    by_function, now = unity(model.basis), {term.function: j for j, term in enumerate(model.terms) if term.delay == 0}
+    needed = [] if by_function is None else np.flatnonzero(by_function).tolist()
+    if by_function is None or not now.keys() >= set(needed):
+        return np.full(len(model.terms), np.nan)
     q = np.zeros(len(model.terms))
-    q[now] = np.linalg.lstsq(phi, np.ones(len(phi)), rcond=None)[0]
-    q[np.abs(q) < SAME] = 0.0
-    return q if np.abs(phi @ q[now] - 1.0).max() < SAME else np.full(len(q), np.nan)
+    q[[now[function] for function in needed]] = by_function[needed]
+    return q
 
 
 def constant_gain(model: LPVModel) -> np.ndarray:

@@ -176,8 +176,7 @@ def stable(model: LPVModel) -> bool:
 def frozen(model: LPVModel, share: float) -> np.ndarray:
     """A - share K C (n, nx, nx) at schedule values over the spans that stand still."""
     assert model.predictor is not None
-    phi = model.basis(model.grid(GRID))[:, [term.function for term in model.terms]]
-    return np.tensordot(phi, (1.0 - share) * model.A + share * model.predictor.F, 1)
+    return np.tensordot(model.still(model.grid(GRID)), (1.0 - share) * model.A + share * model.predictor.F, 1)
 
 
 def refined(model: LPVModel, dataset: Dataset) -> LPVModel:

@@ -10,7 +10,7 @@ conditions", Proc. 5th Berkeley Symposium (1967); L. Ljung, "System Identificati
 import numpy as np
 
 from workbench.identification.output_error.free_numbers import FreeNumbers
-from workbench.lpv import Estimate, LPVModel
+from workbench.lpv import Estimate, LPVModel, ends
 
 STEP = 1e-5  # standard deviations, for differences
 
@@ -42,8 +42,7 @@ def _features(model: LPVModel) -> tuple[np.ndarray, list[tuple[str, str]]]:
     """Values, and their names and units."""
     values: list[float] = []
     names: list[tuple[str, str]] = []
-    ends = model.spans.T if len(model.schedules) > 1 else model.spans.ravel()
-    for rho in [*ends, model.middle] if model.schedules else [None]:
+    for rho in [*ends(model.spans), model.middle] if model.schedules else [None]:
         A, B, C, D = model.freeze(rho)
         gain = C @ np.linalg.solve((1.0 + 1e-12) * np.eye(len(A)) - A, B) + D  # an exact integrator gets a huge gain
         at = f" at {model.named(rho)}" if model.schedules else ""

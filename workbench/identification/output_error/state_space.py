@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.basis import Basis, Powers, constant, polynomials, unity
+from workbench.basis import Basis, constant, unity
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
 from workbench.identification.output_error.fence import Fence
 from workbench.identification.output_error.free_numbers import FreeNumbers, constant_weights
 from workbench.identification.output_error.refine import SHARES, Runs, finished, minimised, stable
-from workbench.identification.schedules import schedules_of, spans_of
+from workbench.identification.schedules import check_variables, polynomials_over, schedules_of, spans_of
 from workbench.identification.selection import parts
 from workbench.identification.subspace import PBSID, PredictorEstimate, channels_of
 from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
@@ -30,12 +30,8 @@ from workbench.records import field, record
 
 WORTH = 0.98  # of the error on what was left out: what one more order, or degree, must do
 HELD, FREE = 1e-3, 1e-6  # share of the cost that a step must gain, of runs that are held and of free ones
-REACHES = (
-    0.25,
-    0.15,
-    0.1,
-    0.05,
-)  # of a span: how far beyond the records a model of several variables is followed if it is stable
+# of a span: how far beyond the records a model of several variables is followed if it is stable there
+REACHES = (0.25, 0.15, 0.1, 0.05)
 AWAY = 1e-3  # modulus of a pole
 STEPS = 100
 LESS = (0.0, 0.001, 0.01, 0.03)  # shares of what moves A over the schedule
@@ -76,10 +72,9 @@ class LPVOutputError:
         model is found.
         """
         task = _Task(self, dataset)
-        chosen, notes = self._chosen([(basis, self._orders) for basis in self._bases(task)], dataset)
-        again = task.freed(replace(chosen, model=replace(chosen.model, spans=task.spans, reach=0.0)))
+        chosen, notes = self._chosen(self._bases(task), dataset)
         # from another start there may be another minimum
-        own = min(again, task.fitted(chosen.model.order, chosen.model.basis), key=task.cost)
+        own = min(task.freed(chosen), task.fitted(chosen.model.order, chosen.model.basis), key=task.cost)
         model = own and finished(own, task.runs(own.model), dataset)
         if model is None:
             mend = "ask for a lower order or degree, or take another method"
@@ -92,17 +87,18 @@ class LPVOutputError:
 
     def _bases(self, task: "_Task") -> list[Basis]:
         if self.basis is not None:
+            check_variables(self.basis, task.schedules)
             return [self.basis]
-        return [task.polynomials(d) for d in ((1, 2) if self.degree is None else (self.degree,))]
+        return [polynomials_over(task.spans, d) for d in ((1, 2) if self.degree is None else (self.degree,))]
 
-    def _chosen(self, tried, dataset: Dataset) -> tuple[FreeNumbers, tuple[str, ...]]:
+    def _chosen(self, bases: Sequence[Basis], dataset: Dataset) -> tuple[FreeNumbers, tuple[str, ...]]:
         """The model of three fifths of the records that runs best on the other two; and what each that was tried came to."""
         seen, unseen = parts(dataset)
         task = _Task(self, seen)
         best, least, said = None, np.inf, []
-        for basis, orders in tried:
+        for basis in bases:
             failed = 0
-            for n in orders:
+            for n in self._orders:
                 own = task.fitted(n, basis)
                 missed = np.inf if own is None else _missed(own.model, unseen)
                 said.append(f"order {n}, {len(basis.names)} functions: {100.0 * missed:.3g} %")
@@ -132,14 +128,6 @@ class _Task:
         direct = acts_at_once(dataset) if options.feedthrough is None else options.feedthrough
         self.made: dict[tuple[int, tuple[str, ...]], FreeNumbers | None] = {}
         self.start: PredictorEstimate = replace(options.method, feedthrough=direct).estimate(dataset)
-
-    def polynomials(self, degree: int) -> Basis:
-        """All products of the schedule variables, over their largest values, up to a degree."""
-        scales = np.abs(self.spans).max(axis=1)
-        scales = np.where(scales > 0.0, scales, 1.0)
-        if len(scales) == 1:
-            return Powers(np.arange(degree + 1.0), float(scales[0]))
-        return polynomials(degree, scales)
 
     def runs(self, model: LPVModel) -> Runs:
         return Runs(model, self.dataset)
@@ -176,7 +164,8 @@ class _Task:
         return own
 
     def freed(self, own: FreeNumbers) -> FreeNumbers | None:
-        """The model at the minimum of its free runs; None where it is not stable there."""
+        """The model at the minimum of its free runs along these records; None where it is not stable there."""
+        own = replace(own, model=replace(own.model, spans=self.spans, reach=0.0))
         runs = self.runs(own.model)
         own = tamed(minimised(own, runs, 0.0, FREE, STEPS, self._fence(own, runs)))
         return replace(own, model=reaching(own.model)) if stable(own.model) else None
@@ -184,7 +173,7 @@ class _Task:
     def _fence(self, own: FreeNumbers, runs: Runs) -> Fence:
         """Poles that are `AWAY` beyond the limit cost as much as all errors of the runs do now."""
         cost = runs.cost(own.model, runs.begun(own, 0.0), 0.0)
-        return Fence(own.model, self.spans, runs.slowest, cost / AWAY**2)
+        return Fence(own.model, runs.slowest, cost / AWAY**2)
 
     def _begun(self, order: int, basis: Basis) -> LPVModel:
         """The LTI model over the basis."""
@@ -203,22 +192,15 @@ class _Task:
 
 def widened(model: LPVModel) -> LPVModel:
     """The model with one state more, which the inputs move and no output shows: a fit finds what it is good for."""
-    n, weight = model.order, constant_weights(model)[:, None, None]
-    pole = float(np.median(np.abs(np.linalg.eigvals(model.freeze(model.middle)[0]))))
-
-    def wide(M: np.ndarray, rows: int, columns: int, corner: float = 0.0) -> np.ndarray:
-        own = np.zeros((len(M), M.shape[1] + rows, M.shape[2] + columns))
-        own[:, : M.shape[1], : M.shape[2]] = M
-        if rows:
-            own[:, -1:, -1:] += weight * corner
-        return own
-
-    assert model.predictor is not None
-    A, B, C = wide(model.A, 1, 1, pole), wide(model.B, 1, 0), wide(model.C, 0, 1)
-    B[:, n:] = weight * np.abs(model.B).max(axis=(0, 1))  # moved as much as the others are
-    F, G, K = wide(model.predictor.F, 1, 1, pole), B.copy(), wide(model.predictor.K, 1, 0)
-    G[:, :n] = model.predictor.G
-    return replace(model, A=A, B=B, C=C, predictor=replace(model.predictor, F=F, G=G, K=K))
+    weight, predictor = constant_weights(model)[:, None, None], model.predictor
+    assert predictor is not None
+    A, F = (np.pad(M, ((0, 0), (0, 1), (0, 1))) for M in (model.A, predictor.F))
+    B, G, K = (np.pad(M, ((0, 0), (0, 1), (0, 0))) for M in (model.B, predictor.G, predictor.K))
+    # as slow as the others are, and moved as much
+    A[:, -1:, -1:] = F[:, -1:, -1:] = weight * np.median(np.abs(np.linalg.eigvals(model.freeze(model.middle)[0])))
+    B[:, -1:] = G[:, -1:] = weight * np.abs(model.B).max(axis=(0, 1))
+    C = np.pad(model.C, ((0, 0), (0, 0), (0, 1)))
+    return replace(model, A=A, B=B, C=C, predictor=replace(predictor, F=F, G=G, K=K))
 
 
 def tamed(own: FreeNumbers) -> FreeNumbers:

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.basis import CONSTANT, Basis, Powers, constant, polynomials
+from workbench.basis import CONSTANT, Basis, Powers, constant
 from workbench.data import Dataset
 from workbench.errors import InputError
-from workbench.identification.schedules import scheduled
+from workbench.identification.schedules import polynomials_over
 from workbench.identification.sparse import L2, Bound, LInf
 from workbench.identification.ssm.model import observer_form
 from workbench.identification.ssm.regression import Problem, middle, zero
 from workbench.identification.ssm.sweep import SSMSweep, sweep
-from workbench.lpv import LPVModel, OperatingPoint
+from workbench.lpv import LPVModel, OperatingPoint, scheduled
 from workbench.records import field, record
 
 # mu "slightly larger than the minimum", [1] section 1.4.3; the largest error of thousands is rarer than their energy says
@@ -88,7 +88,7 @@ class ScheduledMean:
             )
         rho = np.concatenate([scheduled(e, names.schedules) for e in dataset])
         if len(names.schedules) > 1:
-            basis = polynomials(self.degree, np.maximum(np.abs(problem.spans).max(axis=1), 1e-300))
+            basis = polynomials_over(problem.spans, self.degree)
         else:
             basis = Powers(np.arange(self.degree + 1.0), middle(rho)) if names.schedules else CONSTANT
         signals = np.concatenate([e[[c.name for c in names.inputs + names.outputs]] for e in dataset])

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.basis import CONSTANT, Basis, Powers, Products, polynomials
+from workbench.basis import CONSTANT, Basis, Powers
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
-from workbench.identification.schedules import scheduled, schedules_of, spans_of
+from workbench.identification.schedules import check_variables, polynomials_over, schedules_of, spans_of
 from workbench.identification.sparse import orthonormal_range
 from workbench.identification.subspace import channels_of
-from workbench.lpv import OperatingPoint
+from workbench.lpv import OperatingPoint, ends, scheduled
 from workbench.records import field, record
 
 if TYPE_CHECKING:
@@ -57,9 +57,7 @@ class Problem:
 
     def signals_of(self, e: Experiment, point: OperatingPoint) -> Signals:
         """The record in deviations from `point`."""
-        rho = scheduled(e, self.names.schedules)
-        if self.names.schedules:
-            rho = np.clip(rho, *np.squeeze(self.spans.T))
+        rho = np.clip(scheduled(e, self.names.schedules), *ends(self.spans))
         level = point.basis(rho)
         u = e[[c.name for c in self.names.inputs]] - level @ point.u
         y = e[[c.name for c in self.names.outputs]] - level @ point.y
@@ -82,23 +80,13 @@ def _basis_and_spans(basis: Basis | None, dataset: Dataset, schedules: Sequence[
         return CONSTANT, np.zeros((0, 2))
     spans = spans_of(dataset, schedules)
     if basis is not None:
-        _check_variables(basis, schedules)
+        check_variables(basis, schedules)
         return basis, spans
-    scales = np.abs(spans).max(axis=1)
     if len(schedules) > 1:
-        return polynomials(DEGREES[len(schedules)], np.where(scales > 0.0, scales, 1.0)), spans
+        return polynomials_over(spans, DEGREES[len(schedules)]), spans
     if spans[0, 0] * spans[0, 1] <= 0:  # where it may be zero there is no 1/rho
-        return Powers(EXPONENTS[EXPONENTS >= 0], float(scales[0]) or 1.0), spans
-    return Powers(EXPONENTS, float(np.abs(spans.mean())) or 1.0), spans
-
-
-def _check_variables(basis: Basis, schedules: Sequence[Channel]) -> None:
-    """Refuse a basis of another number of variables."""
-    known = len(basis.factors) if isinstance(basis, Products) else 1
-    if known != len(schedules):
-        names = ", ".join(c.name for c in schedules)
-        problem = f"a basis of {known} variables for {len(schedules)} schedules"
-        raise InputError(problem, channel=names, mend="give Products of one factor for each, or no basis")
+        return Powers(EXPONENTS[EXPONENTS >= 0], float(np.abs(spans).max()) or 1.0), spans
+    return Powers(EXPONENTS, middle(spans)), spans
 
 
 def middle(rho: np.ndarray) -> float:
