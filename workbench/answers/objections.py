@@ -7,9 +7,10 @@ import numpy as np
 
 from workbench.answers.scored import ScoredModel
 from workbench.data import Dataset
-from workbench.identification.feedthrough import Arx, loop_around_unstable
 from workbench.identification.leaks import leaks, too_good
-from workbench.metrics import Score
+from workbench.identification.lti import held_by_a_loop
+from workbench.lpv import LPVModel
+from workbench.metrics import Score, score
 
 FLOOR = "oe.json"  # the file of the model that every other one must beat
 TIE = 0.5  # points of FIT
@@ -19,7 +20,7 @@ WORSE = 1.2  # times the free run's error from which on a one-step prediction sa
 
 def refereed(results: Sequence[ScoredModel], estimation: Dataset | None, judged: Dataset) -> list[ScoredModel]:
     """The models with what speaks against each; judged: the records that give the headline."""
-    shared, loop = leaks(estimation or judged), loop_around_unstable(estimation or judged)
+    shared, loop = leaks(estimation or judged), held_by_a_loop(estimation or judged)
     found = []
     for result in results:
         own = [s for s in result.scores if s.record in judged.names]
@@ -28,24 +29,21 @@ def refereed(results: Sequence[ScoredModel], estimation: Dataset | None, judged:
     return found
 
 
-def _held(scores: Sequence[Score], judged: Dataset, loop: Arx | None) -> list[str]:
+def _held(scores: Sequence[Score], judged: Dataset, loop: LPVModel | None) -> list[str]:
     """A sentence for an output of a machine that only its loop holds, whose next sample an unstable model tells far better.
 
     In such records the input tells the output by the inverse of the controller, and no free run shows that this is no machine.
     """
-    if loop is None:
-        return []
-    said, names = [], judged.experiments[0].names_of("output")
-    for j, output in enumerate(names):
-        ones = [s for s in scores if (s.horizon, s.output) == ("one-step", output)]
-        pairs = [(s.RMSE, loop.missed(e)[j]) for s in ones for e in judged if e.name == s.record]
-        if pairs and all(own > BEHIND * other for own, other in pairs):
-            own, other = max(pairs)
-            unit = f" {ones[0].unit}".rstrip()
+    said = []
+    by_place = {} if loop is None else {(s.record, s.output): s.RMSE for s in score(loop, judged, "held-out", ["one-step"])}
+    for output in dict.fromkeys(s.output for s in scores if by_place):
+        pairs = [(s, by_place[s.record, output]) for s in scores if (s.horizon, s.output) == ("one-step", output)]
+        if pairs and all(BEHIND * other < own.RMSE for own, other in pairs):
+            own, other = max(pairs, key=lambda pair: pair[0].RMSE)
+            unit = f" {own.unit}".rstrip()
             said.append(
-                f"{ones[0].model} tells the next {output} by {own:.3g}{unit}, an unstable model (order {loop.order}, pole of"
-                f" modulus {loop.radius:.4g}) by {other:.3g}{unit}: these records are of a loop around a machine that is unstable"
-                " by itself, and this model is more of its controller"
+                f"{own.model} tells the next {output} by {own.RMSE:.3g}{unit}, an unstable model by {other:.3g}{unit}: these"
+                " records are of a loop around a machine that is unstable by itself, and this model is more of its controller"
             )
     return said
 

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from workbench.advice import feedback, in_a_loop
+from workbench.advice import feedback
 from workbench.data import Dataset, Experiment
 from workbench.metrics import fit
 from workbench.records import field, record
 
 #: FIT points by which a free run must improve: in open loop, and where feedback could have put noise into the inputs.
 GAIN_OPEN, GAIN_CLOSED = 2.0, 10.0
-SHORTEST = 20  # samples for each lag
 
 
 def acts_at_once(dataset: Dataset, order: int = 4) -> bool:
@@ -33,15 +32,6 @@ def acts_at_once(dataset: Dataset, order: int = 4) -> bool:
     return not any(feedback(e).detected for e in dataset) or (gain >= GAIN_CLOSED and late.radius < 1.0)
 
 
-def loop_around_unstable(dataset: Dataset, order: int = 4) -> "Arx | None":
-    """An unstable model of records that all show feedback: such a machine is held by its loop. None for all others."""
-    first = dataset.experiments[0]
-    if not (first.names_of("input") and first.names_of("output")) or min(map(len, dataset)) < SHORTEST * order:
-        return None
-    own = Arx.of(dataset, order, first=1)
-    return own if own.radius > 1.0 and all(map(in_a_loop, dataset)) else None
-
-
 @record
 class Arx:
     """y(k) = sum_i a_i y(k-i) + sum_i b_i u(k-i) + c, i of u from `first` on: coefficients theta (rows, ny) by least squares."""
@@ -63,11 +53,6 @@ class Arx:
         companion = np.eye(ny * self.order, k=-ny)
         companion[:ny] = self.theta[: ny * self.order].T
         return float(np.abs(np.linalg.eigvals(companion)).max())
-
-    def missed(self, e: Experiment) -> np.ndarray:
-        """Root mean square of the one-step errors on a record, (ny)."""
-        Phi, y = _regressors(e, self.order, self.first)
-        return np.sqrt(np.mean((y - Phi @ self.theta) ** 2, axis=0))
 
     def free_fit(self, dataset: Dataset) -> float:
         """Mean free-run FIT [%] on the records; floored at 0."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.advice import feedback
+from workbench.advice import feedback, in_a_loop
 from workbench.basis import CONSTANT
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
@@ -21,6 +21,7 @@ from workbench.records import field, record
 #: A smaller model is preferred while its free-run FIT is within this many points of the best.
 RUNS_AWAY = -1e3  # FIT [%]: a number below says no more than that
 TIE = 0.5
+LOOKED_AT, FOLDS = 4, 20.0  # order in which an unstable pole is looked for; e-folds along a record, beyond which it is one
 
 
 @record
@@ -96,6 +97,23 @@ def to_model(name: str, found: Subspace, *, estimates: tuple[Estimate, ...] = ()
         estimates=estimates,
         notes=notes,
     )
+
+
+def held_by_a_loop(dataset: Dataset) -> LPVModel | None:
+    """A linear model of records that are all of a loop around a machine that is unstable by itself; None for other records.
+
+    What is off in such a model grows by more than FOLDS e-folds along a record. Of a machine that integrates it does not, however
+    its pole is estimated; a low-order regression on the past would not do, which noise in a loop makes unstable by itself.
+    """
+    if not all(map(in_a_loop, dataset)):
+        return None
+    try:
+        estimate = PBSID().estimate(dataset)
+    except InputError:  # too short
+        return None
+    found = estimate.realise(min(LOOKED_AT, estimate.largest))
+    grows = np.log(np.abs(found.poles).max()) * max(map(len, dataset))
+    return to_model("PBSID", found) if grows > FOLDS else None
 
 
 def mean_fit(model: LPVModel, dataset: Dataset) -> float:

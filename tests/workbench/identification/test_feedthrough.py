@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from workbench.advice import in_a_loop
 from workbench.basis import Powers
 from workbench.data import Dataset, Experiment
-from workbench.identification.feedthrough import acts_at_once, loop_around_unstable
-from workbench.identification.lti import LTI
+from workbench.identification.feedthrough import acts_at_once
+from workbench.identification.lti import LTI, held_by_a_loop
 from workbench.identification.ssm import SSM
 
 
@@ -101,9 +102,9 @@ def test_a_machine_that_only_its_loop_holds_is_not_taken_for_the_inverse_of_its_
     """Neither by a feed-through, nor by a stable model: none is handed out, and the sentence says why."""
     data, fresh = Dataset((held(seed, 5.0),)), Dataset((held(10 + seed, 5.0),))
     assert not acts_at_once(data)
-    loop = loop_around_unstable(data)
+    loop = held_by_a_loop(data)
     assert loop is not None
-    assert loop.radius > 1.0
+    assert not loop.stability().stable
     found = wb.identify(data, fresh, methods={"lti": LTI(order=1), "oe": wb.OutputError(order=1)})
     assert all(result.against for result in found.results)
     said = " ".join(sentence for result in found.results for sentence in result.against)
@@ -117,4 +118,25 @@ def test_a_stable_machine_in_a_loop_is_no_such_machine(seed):
     found = wb.identify(data, fresh, methods={"lti": LTI(order=2)}, accept=True)
     assert not any("unstable by itself" in sentence for result in found.results for sentence in result.against)
     noisy = Dataset((experiment(seed, 0.0, feedback=0.3, noise=0.5),))
-    assert loop_around_unstable(noisy) is None
+    assert held_by_a_loop(noisy) is None
+
+
+@pytest.mark.parametrize("kind", ["servo", "tank", "two integrators"])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_machine_that_integrates_is_not_unstable(kind, seed):
+    """In loops of drawn gains, noise and unlogged pushes, where half of the estimated poles are beyond 1 by a little."""
+    random = np.random.default_rng([seed, 9])
+    N, dt, x, v, last, push = 3000, 0.01, 0.0, 0.0, 0.0, 0.0
+    kp, kd, noise = random.uniform(2.0, 20.0), random.uniform(0.015, 0.3), 10.0 ** random.uniform(-4.0, -1.5)
+    r, u, y = np.repeat(0.5 * random.normal(size=N // 50), 50), np.empty(N), np.empty(N)
+    for k in range(N):
+        y[k] = x + noise * random.normal()
+        u[k] = kp * (r[k] - y[k]) - kd * (y[k] - last) / dt
+        last, push = y[k], 0.95 * push + 0.1 * random.normal()
+        for _ in range(4):
+            rate = {"servo": -2.0 * v + 5.0 * u[k] + push, "tank": 0.0, "two integrators": 2.0 * u[k] + push}[kind]
+            x, v = x + 0.25 * dt * (u[k] + push if kind == "tank" else v), v + 0.25 * dt * rate
+    assert np.abs(y).max() < 100.0
+    e = Experiment.from_arrays("loop", dt, inputs={"u": u}, outputs={"y": y}, references={"y_set": r})
+    assert in_a_loop(e)
+    assert held_by_a_loop(Dataset((e,))) is None
