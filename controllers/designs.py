@@ -23,8 +23,6 @@ from workbench.records import field, record
 from workbench.robustness.frozen import Bounds
 from workbench.verification.trial import tried
 
-KNOTS = 5  # schedule values with gains of their own
-
 Numbers = Mapping[str, float]
 Say = Callable[[str], None]
 
@@ -34,9 +32,10 @@ class ScheduledPIDDesign:
     """The most integral action whose frozen loops keep |S|, |T| and the effort within bounds over the whole schedule.
 
     sensitivity, complementary: largest |S|, |T|; effort: largest |Q| as a multiple of the least that is needed. knots: schedule
-    values with gains of their own, their number or the values; 1 is a fixed PID. low, high, rate [1/s]: limits of commands by
-    input. setpoint: the usual one by output, which is held without the integral. filter [s]: of the derivative, default two
-    samples. setpoint_weight: share of the set-point in the proportional part. robust_to: models that must be kept too.
+    values with gains of their own, their number or the values, of several schedule variables for all or for each (see
+    `design_pid`); 1 is a fixed PID. low, high, rate [1/s]: limits of commands by input. setpoint: the usual one by output, which
+    is held without the integral. filter [s]: of the derivative, default two samples. setpoint_weight: share of the set-point in
+    the proportional part. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
         array([[0.32]])
@@ -45,7 +44,7 @@ class ScheduledPIDDesign:
     sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
     complementary: float = field("", low=1.0 + 1e-9, default=1.6)
     effort: float = field("", low=1.0 + 1e-9, default=3.0)
-    knots: int | Sequence[float] = KNOTS
+    knots: int | Sequence[Any] | None = None
     low: Numbers = field(default_factory=dict)
     high: Numbers = field(default_factory=dict)
     rate: Numbers = field(default_factory=dict)
@@ -64,9 +63,8 @@ class ScheduledPIDDesign:
             derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
         )  # fmt: skip
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
-        knots = 1 if model.schedule is None else self.knots
         return design_pid(
-            model, knots=knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
+            model, knots=self.knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
             robust_to=self.robust_to, say=progress,
         )  # fmt: skip
 

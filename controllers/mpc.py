@@ -40,7 +40,8 @@ from controllers.scheduled_pid import ScheduledPID
 from controllers.tube import Tube, design_tube, predictor_observer
 from workbench.errors import InputError
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel, check_schedule_from_outside, model_from_dict
+from workbench.lpv import LPVModel, check_schedule_from_outside, ends, lattice, model_from_dict
+from workbench.physics.controller import schedules_of
 from workbench.records import field, record
 
 KIND = "mpc"
@@ -68,8 +69,8 @@ class MPCState(NamedTuple):
 
     z: np.ndarray
     u: np.ndarray
-    rho: float
-    slope: float
+    rho: Any
+    slope: Any
     plan: Plan
 
     @property
@@ -108,11 +109,10 @@ class MPC(Receding):
     def __post_init__(self):
         check_schedule_from_outside(self.model, "an MPC")
         self.check(self.actuated, self.measured)
-        if self.fallback.schedule not in (None, self.schedule):
-            raise InputError(
-                f"the fallback law is scheduled on {self.fallback.schedule}, the model on {self.schedule or 'nothing'}",
-                file=self.name, mend="design it on the same model",
-            )  # fmt: skip
+        own, known = schedules_of(self.fallback), schedules_of(self)
+        if own not in ((), known):
+            problem = f"the fallback law is scheduled on {', '.join(own)}, the model on {', '.join(known) or 'nothing'}"
+            raise InputError(problem, file=self.name, mend="design it on the same model")
         _ = self.terminal  # an uncontrollable model is refused here, not at the first sample
         if self.tube is not None:
             self.tube.check(self)
@@ -136,8 +136,9 @@ class MPC(Receding):
         return tuple(f"{name}_set" for name in self.measured)
 
     @property
-    def schedule(self) -> str | None:
-        return self.model.schedule.name if self.model.schedule else None
+    def schedule(self) -> str | tuple[str, ...] | None:
+        names = tuple(c.name for c in self.model.schedules)
+        return names if len(names) > 1 else names[0] if names else None
 
     def outside(self, rho: np.ndarray) -> float:
         """How far a schedule leaves what the model knows, in widths of that; 0 inside."""
@@ -145,7 +146,7 @@ class MPC(Receding):
 
     def init(self, u: np.ndarray | None = None) -> MPCState:
         """Before the first sample; u: the command that it takes over from, else that of the model's operating point."""
-        held = self.operating(np.array([np.mean(self.model.span)]))[0][0] if u is None else np.asarray(u, dtype=float)
+        held = self.operating(np.array([self.model.middle]))[0][0] if u is None else np.asarray(u, dtype=float)
         unknown = np.full(self.observer.L.shape[1], np.nan)  # found from the first measurement
         return MPCState(unknown, held, np.nan, 0.0, UNPLANNED)
 
@@ -170,7 +171,7 @@ class MPC(Receding):
 
     # ---- one sample -------------------------------------------------------------------------------------------------------
 
-    def step(self, state: MPCState, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> tuple[np.ndarray, MPCState]:
+    def step(self, state: MPCState, r: np.ndarray, y: np.ndarray, rho: Any = None) -> tuple[np.ndarray, MPCState]:
         """One sample: (u, next memory). r (ny,), or (N, ny) where the set-points of the samples to come are known.
 
         A measurement that is not a number corrects nothing: the model goes on alone.
@@ -188,21 +189,23 @@ class MPC(Receding):
         u, plan = self._acted(state.u, state.plan, found, status, wanted[0], np.asarray(y, dtype=float), rho)
         return u, MPCState(model.moved(z, u, push), u, rho, slope, plan)
 
-    def _followed(self, state: MPCState, rho: float | None) -> tuple[float, float]:
+    def _followed(self, state: MPCState, rho: Any) -> tuple[Any, Any]:
         """The schedule value, and its slope a sample; the last ones where it was not measured."""
-        if self.model.schedule is None:
+        if not self.model.schedules:
             return 0.0, 0.0
-        if rho is None or not np.isfinite(rho):
-            return (float(np.mean(self.model.span)), 0.0) if np.isnan(state.rho) else (state.rho, state.slope)
-        if np.isnan(state.rho) or isinstance(self.prediction, Held):
-            return float(rho), 0.0
-        return float(rho), state.slope + (rho - state.rho - state.slope) / self.prediction.memory
+        unknown, still = bool(np.isnan(state.rho).any()), np.zeros_like(self.model.middle)
+        if rho is None or not np.isfinite(rho).all():
+            return (self.model.middle, still) if unknown else (state.rho, state.slope)
+        now = np.asarray(rho, dtype=float)
+        if unknown or isinstance(self.prediction, Held):
+            return now, still
+        return now, state.slope + (now - state.rho - state.slope) / self.prediction.memory
 
-    def _path(self, rho: float, slope: float) -> np.ndarray:
-        """The schedule over the horizon, (N + 1,), within what the model knows."""
-        return np.clip(rho + slope * np.arange(self.horizon + 1), *self.model.span)
+    def _path(self, rho: Any, slope: Any) -> np.ndarray:
+        """The schedule over the horizon, (N + 1,) or (N + 1, ns), within what the model knows."""
+        return np.clip(rho + np.multiply.outer(np.arange(self.horizon + 1), slope), *ends(self.model.spans))
 
-    def _corrected(self, state: MPCState, model: "_Along", rho: float, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _corrected(self, state: MPCState, model: "_Along", rho: Any, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The observer's state after this sample's measurement, and what that moves it by on its way to the next."""
         seen = bool(np.isfinite(y).all())
         if np.isnan(state.z).any():  # first sample: as if the machine had stood at this measurement under the last command
@@ -331,12 +334,11 @@ class MPC(Receding):
     @cached_property
     def terminal(self) -> tuple[np.ndarray, np.ndarray]:
         """Schedule values, and there the cost of the regulator on (x, last command)."""
-        low, high = self.model.span
-        grid = np.linspace(low, high, POINTS) if self.model.schedule else np.zeros(1)
+        grid = lattice(self.model.spans, POINTS)
         return grid, np.array([self._regulator(rho) for rho in grid])
 
-    def _regulator(self, rho: float) -> np.ndarray:
-        A, B, C, _ = self.model.freeze(rho if self.model.schedule else None)
+    def _regulator(self, rho: Any) -> np.ndarray:
+        A, B, C, _ = self.model.freeze(rho if self.model.schedules else None)
         nx, nu = B.shape
         Az, Bz = np.block([[A, B], [np.zeros((nu, nx)), np.eye(nu)]]), np.vstack([B, np.eye(nu)])
         Q = np.zeros((nx + nu, nx + nu))
@@ -347,13 +349,13 @@ class MPC(Receding):
         try:
             return solve_discrete_are(Az, Bz, Q, S + TINY * np.eye(nu) * max(np.trace(S), 1e-300), s=cross)
         except (LinAlgError, ValueError):
-            at = f" at {self.model.schedule.name} = {rho:.4g}" if self.model.schedule else ""
+            at = f" at {self.model.named(rho)}" if self.model.schedules else ""
             raise InputError(
                 f"no regulator{at}: a mode cannot be moved, or counts for nothing", file=self.model.name,
                 mend="give every output a weight above 0, and a model whose inputs move all of it",
             ) from None  # fmt: skip
 
-    def terminal_cost(self, rho: float) -> np.ndarray:
+    def terminal_cost(self, rho: Any) -> np.ndarray:
         return interpolated(*self.terminal, rho)
 
     def operating(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -369,8 +371,8 @@ class _Along:
         self.path, self.at_inputs = path, law.observer.at_inputs
         self.nx, self.nu, self.ny = law.model.order, len(law.actuated), len(law.measured)
         # a term may see the schedule some samples late: before now it came the way it goes on
-        before = path[0] - (path[1] - path[0]) * np.arange(law._latest, 0, -1)
-        phi = law.model.basis(np.concatenate([np.clip(before, *law.model.span), path]))
+        before = path[0] - np.multiply.outer(np.arange(law._latest, 0, -1), path[1] - path[0])
+        phi = law.model.basis(np.concatenate([np.clip(before, *ends(law.model.spans)), path]))
         late = np.arange(len(path))[:, None] + law._latest - law._delays
         weight = phi[late, law._functions]
         self.M = weight @ law._flat
@@ -434,7 +436,7 @@ class _Along:
 
 def default_weights(model: LPVModel, move: float = 0.003) -> Weights:
     """An output counts in units of what unit inputs move it in the middle of the schedule; move: price of a unit move."""
-    A, B, C, D = model.freeze(float(np.mean(model.span)) if model.schedule else None)
+    A, B, C, D = model.freeze(model.middle if model.schedules else None)
     scale = np.linalg.norm(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D, axis=1)
     outputs, file = [c.name for c in model.outputs], model.name
     return weights_by(

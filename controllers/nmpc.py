@@ -36,6 +36,7 @@ from controllers.receding import (
 )
 from controllers.scheduled_pid import ScheduledPID
 from workbench.errors import InputError, check_known
+from workbench.physics.controller import rho_of, schedules_of
 from workbench.physics.extension import Extension, extension
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -109,8 +110,8 @@ class NMPC(Receding):
         for name in self.controlled:
             check_known("output", name, self.plant.output_names, file=self.plant.name)
         self.check(self.actuated, self.controlled)
-        if self.fallback.schedule is not None:
-            check_known("schedule of the fallback law", self.fallback.schedule, self.plant.output_names, file=self.plant.name)
+        for name in schedules_of(self.fallback):
+            check_known("schedule of the fallback law", name, self.plant.output_names, file=self.plant.name)
         if isinstance(self.solver, RealTimeIteration) and (not isinstance(self.solver.steps, int) or self.solver.steps < 1):
             raise InputError(f"{self.solver.steps} steps a sample", file=self.name, mend="a whole number, at least one")
         if np.any(self.weights.inputs):
@@ -192,7 +193,7 @@ class NMPC(Receding):
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, ny))
         wanted = np.where(np.isfinite(wanted), wanted, [expected[name] for name in self.controlled])  # else stay where it is
         found, status = self._planned(state, x, d, wanted)
-        schedule = None if self.fallback.schedule is None else expected[self.fallback.schedule]
+        schedule = rho_of(self.fallback, np.array([expected[name] for name in schedules_of(self.fallback)]))
         u, plan = self._acted(state.u, state.plan, found, status, wanted[0], y[:ny], schedule)
         return u, NMPCState(self.observer.moved(belief, u), u, plan)
 

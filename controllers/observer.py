@@ -5,16 +5,19 @@
 
 e is the identified innovation: process and measurement noise are one, which the filter's cross term says. Disturbances act at
 the inputs (Bd = 1, Cd = 0) or at the outputs (Bd = 0, Cd = 1), as many as there are outputs: then what is predicted in the
-steady state is what is measured. The stationary gains of the frozen model are found at `points` schedule values and interpolated.
+steady state is what is measured. The stationary gains of the frozen model are found at `points` schedule values, of several
+schedule variables at a lattice of them, and interpolated.
 
 Source: Pannocchia and Rawlings, "Disturbance models for offset-free model-predictive control", AIChE Journal 49 (2003) 426-437.
 """
+
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from workbench.errors import InputError
-from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
+from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside, lattice
 from workbench.records import field, record
 
 
@@ -22,12 +25,12 @@ from workbench.records import field, record
 class Observer:
     """Gains over the schedule: e = y - C z - y0 corrects z = (x, d) by L e, and moves it by J e on its way to the next sample.
 
-    rho (g,): where the gains were found; L, J (g, nx + nd, ny).
+    rho (g,), of several schedule variables (g, ns): where the gains were found; L, J (g, nx + nd, ny).
     """
 
     model: LPVModel
     at_inputs: bool
-    rho: np.ndarray = field("g")
+    rho: np.ndarray = field("g ...")
     L: np.ndarray = field("g nz ny")
     J: np.ndarray = field("g nz ny")
 
@@ -35,15 +38,28 @@ class Observer:
         if not isinstance(self.at_inputs, bool):
             raise InputError(f"at_inputs {self.at_inputs!r}", file=self.model.name, mend="true or false")
 
-    def gains(self, rho: float) -> tuple[np.ndarray, np.ndarray]:
+    def gains(self, rho: Any) -> tuple[np.ndarray, np.ndarray]:
         """L and J at a schedule value, interpolated; the edge value outside."""
         return interpolated(self.rho, self.L, rho), interpolated(self.rho, self.J, rho)
 
 
-def interpolated(grid: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
-    """Values (g, ...) on a grid (g,), linearly between its points; the edge value outside."""
+def interpolated(grid: np.ndarray, values: np.ndarray, at: Any) -> np.ndarray:
+    """Values (g, ...) on a grid (g,), linearly between its points; the edge value outside.
+
+    On a lattice (g, ns), the last variable fastest, linearly in each variable.
+
+        >>> lattice = np.array([[0.0, 0.0], [0.0, 1.0], [2.0, 0.0], [2.0, 1.0]])
+        >>> float(interpolated(lattice, np.array([0.0, 1.0, 4.0, 5.0]), (1.0, 0.5)))
+        2.5
+    """
     if len(grid) == 1:
         return values[0]
+    if grid.ndim > 1:
+        axes = [np.unique(own) for own in grid.T]
+        values = values.reshape(*map(len, axes), *values.shape[1:])
+        for own, value in zip(axes, at, strict=True):
+            values = interpolated(own, values, value)
+        return values
     i = int(np.clip(np.searchsorted(grid, at) - 1, 0, len(grid) - 2))
     t = min(max((at - grid[i]) / (grid[i + 1] - grid[i]), 0.0), 1.0)
     return values[i] + t * (values[i + 1] - values[i])
@@ -75,20 +91,19 @@ def design_observer(model: LPVModel, *, at_inputs: bool | None = None, drift: fl
     where = nu == ny if at_inputs is None else at_inputs
     if where and nu != ny:
         raise InputError(f"{nu} disturbances at the inputs for {ny} outputs", file=model.name, mend="put them at the outputs")
-    grid = np.linspace(model.span[0], model.span[1], points) if model.schedule is not None else np.zeros(1)
-    gains = [_gain(model, float(rho), where, drift) for rho in grid]
+    grid = lattice(model.spans, points)
+    gains = [_gain(model, rho, where, drift) for rho in grid]
     L, J = (np.array(each) for each in zip(*gains, strict=True))
     return Observer(model, where, grid, L, J)
 
 
-def _gain(model: LPVModel, rho: float, at_inputs: bool, drift: float) -> tuple[np.ndarray, np.ndarray]:
-    at = None if model.schedule is None else rho
-    A, B, C, _ = model.freeze(at)
+def _gain(model: LPVModel, rho: Any, at_inputs: bool, drift: float) -> tuple[np.ndarray, np.ndarray]:
+    A, B, C, _ = model.freeze(rho if model.schedules else None)
     K = np.tensordot(model.weights(np.array([rho]))[0], model.predictor.K, 1)  # type: ignore[union-attr]
     Az, _, Cz = augmented(A, B, C, at_inputs)
     nx, R = len(A), np.asarray(model.noise)
     nd = len(Az) - nx
-    place = "" if at is None else f" at {model.schedule.name} = {rho:.4g}"  # type: ignore[union-attr]
+    place = f" at {model.named(rho)}" if model.schedules else ""
     steady = np.block([[A - np.eye(nx), Az[:nx, nx:]], [C, Cz[:, nx:]]])
     if np.linalg.matrix_rank(steady) < nx + nd:
         raise InputError(

@@ -1,11 +1,12 @@
 """Pictures of a PID design: gains and margins over the schedule, Nyquist curves, frozen loops and steps of the set-points."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from controllers.scheduled_pid import Gains, ScheduledPID
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, lattice, mesh
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
 from workbench.robustness.frozen import DEFAULT, Bounds, closed_loop, frequencies, loops_of, worst_margins
@@ -18,15 +19,21 @@ FROZEN, STEP = 15, 4.0  # schedule values at which one can look at a loop; s of 
 def design_pictures(
     laws: Mapping[str, ScheduledPID], models: Sequence[LPVModel], bounds: Bounds = DEFAULT, scale: np.ndarray | None = None
 ) -> tuple[Block, ...]:
-    """Gains over the schedule of PIDs, the worst margins of all models, and the last law's Nyquist curves on the first."""
+    """Gains over the schedule of PIDs, the worst margins of all models, and the last law's Nyquist curves on the first.
+
+    Of several schedule variables the first goes over its span, in a line for each of a few values of the others.
+    """
     model = models[0]
-    schedule = model.schedule
-    rho = [None] if schedule is None else list(np.linspace(model.span[0], model.span[1], POINTS))
-    margins = {name: worst_margins(law, models, rho, bounds, scale) for name, law in laws.items()}
+    lines = _lines(model)
+    margins = {
+        f"{name}{', ' * bool(where)}{where}": worst_margins(law, models, rho, bounds, scale)
+        for name, law in laws.items()
+        for where, rho in lines.items()
+    }
     peaks = {"largest sensitivity": "sensitivity", "largest complementary sensitivity": "complementary", "largest pole": "radius"}
     name, law = list(laws.items())[-1]
-    shown = [rho[i] for i in np.unique(np.linspace(0, len(rho) - 1, FAMILY).round().astype(int))]
-    titles = [model.name if schedule is None else f"{schedule.name} = {at:.4g} {schedule.unit}".rstrip() for at in shown]
+    shown = model.frozen_values(FAMILY) if len(model.schedules) < 2 else [*model.frozen_values(2), model.middle]
+    titles = [model.named(at) or model.name for at in shown]
     omega = _drawn_at(law, model, shown)
     opened = [loops_of(law, model, at, omega) for at in shown]
     family = figures.nyquist(
@@ -37,16 +44,20 @@ def design_pictures(
         },
         bounds.sensitivity,
     )
-    if schedule is None:
+    if not model.schedules:
         rows = tuple((own, *(float(getattr(margins[own], key)[0]) for key in peaks.values())) for own in laws)
         return Table("Margins", ("law", *peaks), rows, digits=3), family
-    over = figures.Trace(schedule, np.array(rho))
+    over = figures.Trace(model.schedules[0], lattice(model.spans[:1], POINTS))
     asked = {"sensitivity": bounds.sensitivity, "complementary": bounds.complementary, "radius": 1.0}
     curves = {
         panel: {own: getattr(m, key) for own, m in margins.items()} | {"asked": np.array(asked[key])}
         for panel, key in peaks.items()
     }  # fmt: skip
-    gains = {own: [found.gains_at(value) for value in rho] for own, found in laws.items()}
+    gains = {
+        f"{own}{', ' * bool(where)}{where}": [found.gains_at(value) for value in rho]
+        for own, found in laws.items()
+        for where, rho in lines.items()
+    }
     surfaces = {
         f"{kind}, {u.name} from {y.name}": {own: np.array([g[k][i, j] for g in each]) for own, each in gains.items()}
         for k, kind in enumerate(Gains._fields[:-1])
@@ -66,7 +77,27 @@ def design_pictures(
     )
 
 
-def _drawn_at(law: ScheduledPID, model: LPVModel, rhos: Sequence[float | None] | np.ndarray) -> np.ndarray:
+def _lines(model: LPVModel) -> dict[str, list]:
+    """Schedule values along which curves are drawn, by what the others of several variables are: low, in the middle, high."""
+    if not model.schedules:
+        return {"": [None]}
+    rest = [lattice(span[None], 3) for span in model.spans[1:]]
+    others = mesh(rest).reshape(-1, len(rest)) if rest else np.zeros((1, 0))
+    return {_told(model, own): _line(model, own, POINTS) for own in others}
+
+
+def _line(model: LPVModel, others: np.ndarray, points: int) -> list:
+    """Schedule values: the first variable over its span, the others as they are given."""
+    first = lattice(model.spans[:1], points)
+    return [np.append(value, others) for value in first] if len(others) else first.tolist()
+
+
+def _told(model: LPVModel, others: np.ndarray) -> str:
+    """The other variables at these values."""
+    return ", ".join(f"{c.name} = {v:.4g} {c.unit}".rstrip() for c, v in zip(model.schedules[1:], others, strict=True))
+
+
+def _drawn_at(law: ScheduledPID, model: LPVModel, rhos: Sequence[Any]) -> np.ndarray:
     """Frequencies at which curves are drawn: evenly, and across every peak."""
     omega = frequencies(model.dt, 5)
     across = np.concatenate([closed_loop(law, model, rho).system.around(WIDTHS) for rho in rhos])
@@ -74,25 +105,29 @@ def _drawn_at(law: ScheduledPID, model: LPVModel, rhos: Sequence[float | None] |
 
 
 def _frozen(name: str, law: ScheduledPID, model: LPVModel) -> tuple[Block, ...]:
-    """What a loop does at every schedule value: sensitivities over frequency, and steps of each set-point by one unit."""
-    assert model.schedule is not None
-    rho = np.linspace(model.span[0], model.span[1], FROZEN)
+    """What a loop does at every schedule value: sensitivities over frequency, and steps of each set-point by one unit.
+
+    Of several schedule variables the first goes over its span, the others stay in the middle of theirs.
+    """
+    channel, others = model.schedules[0], np.mean(model.spans[1:], axis=1)
+    rho = _line(model, others, FROZEN)
     omega = _drawn_at(law, model, rho)
     opened = np.stack([loops_of(law, model, at, omega) for at in rho])  # (R, N, nu)
     sensitivities = {}
     for i, u in enumerate(law.actuated):
         sensitivities[f"|S| {u}"] = 20.0 * np.log10(np.abs(1.0 / (1.0 + opened[..., i])))
         sensitivities[f"|T| {u}"] = 20.0 * np.log10(np.abs(opened[..., i] / (1.0 + opened[..., i])))
-    over = figures.Trace(model.schedule, rho)
+    over = figures.Trace(channel, lattice(model.spans[:1], FROZEN))
+    at = ", ".join(filter(None, [channel.name, _told(model, others)]))
     t = model.dt * np.arange(max(2, round(STEP / model.dt)))
     steps = {f"{y} from {y}_set": np.stack([_step(law, model, at, j, len(t)) for at in rho]) for j, y in enumerate(law.measured)}
     return (
-        figures.frozen_responses(omega, over, sensitivities, f"Sensitivities at every {model.schedule.name}, {name}", drawn=3),
-        figures.frozen_steps(t, over, steps, f"Steps of the set-points at every {model.schedule.name}, {name}"),
+        figures.frozen_responses(omega, over, sensitivities, f"Sensitivities at every {at}, {name}", drawn=3),
+        figures.frozen_steps(t, over, steps, f"Steps of the set-points at every {at}, {name}"),
     )
 
 
-def _step(law: ScheduledPID, model: LPVModel, rho: float, j: int, N: int) -> np.ndarray:
+def _step(law: ScheduledPID, model: LPVModel, rho: Any, j: int, N: int) -> np.ndarray:
     """(N,) change of output j of the frozen model when its set-point rises by one unit at the first sample, from rest."""
     A, B, C, _ = model.freeze(rho)  # a law is designed on models without feedthrough
     own = [[c.name for c in model.outputs].index(name) for name in law.measured]

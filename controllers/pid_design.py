@@ -15,12 +15,14 @@ import numpy as np
 
 from controllers.scheduled_pid import ScheduledPID, parts
 from controllers.tuning import Tuned, Tuning, tune
-from workbench.basis import CONSTANT, PiecewiseLinear
+from workbench.basis import CONSTANT, Basis, PiecewiseLinear, Products
+from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import LPVModel, check_schedule_from_outside
+from workbench.lpv import LPVModel, check_schedule_from_outside, mesh
 from workbench.records import field, record
 from workbench.robustness.frozen import DEFAULT, PEAKS, Bounds, Margins, around, frequencies, resonant, worst_margins
 
+KNOTS, FEWER = 5, 3  # over one schedule variable, over each of several
 BETWEEN = 4  # schedule values checked per value in the program
 ROOM = 5e-3  # by which the programs keep the bounds more than asked, for what lies between
 ENOUGH, REFINED = 2e-3, 1e-2  # gain of a step below which a design is done; a refined one
@@ -33,7 +35,7 @@ Say = Callable[[str], None]
 class FrozenPoint:
     """x+ = A x + B u, y = C x + D u: the model at one schedule value, outputs in units of `scale`."""
 
-    rho: float | None
+    rho: Any
     dt: float = field("", unit="s")
     A: np.ndarray = field("nx nx")
     B: np.ndarray = field("nx nu")
@@ -74,8 +76,8 @@ class FrozenPoint:
 class PIDDesign:
     """A scheduled PID, its margins on the refined grid, and what each knot alone would reach.
 
-    low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the same of the law for that knot only. scale (ny): what
-    the outputs were counted in.
+    knots (n), of several schedule variables (n, ns). low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the
+    same of the law for that knot only. scale (ny): what the outputs were counted in.
 
         >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
         >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
@@ -85,7 +87,7 @@ class PIDDesign:
     law: ScheduledPID
     bounds: Bounds
     margins: Margins
-    knots: np.ndarray = field("n")
+    knots: np.ndarray = field("n ...")
     low_frequency: np.ndarray = field("n")
     alone: np.ndarray = field("n")
     scale: np.ndarray = field("ny")
@@ -113,7 +115,7 @@ class Structure:
 def design_pid(
     model: LPVModel,
     *,
-    knots: int | Sequence[float] = 5,
+    knots: int | Sequence[Any] | None = None,
     bounds: Bounds = DEFAULT,
     structure: Structure | None = None,
     setpoint: Sequence[float] | np.ndarray | None = None,
@@ -123,15 +125,18 @@ def design_pid(
 ) -> PIDDesign:
     """A scheduled PID for `model` whose frozen loops keep `bounds` over the schedule range, for every model in `robust_to` too.
 
-    knots: how many over the range, or their values; one knot, or a model without schedule, gives a fixed PID, tuned there and
-    checked there. setpoint (ny,): the usual set-point, which the law holds without its integral; default: the operating point's.
-    scale (ny,): outputs that count as equally large; default: what unit inputs move in the middle of the range.
+    knots: how many over the range, or their values; of several schedule variables one number for all or an entry for each, and
+    the gains are linear in each between the points of their lattice. One knot, or a model without schedule, gives a fixed PID,
+    tuned there and checked there. Default: KNOTS over one variable, FEWER over each of several. setpoint (ny,): the usual
+    set-point, which the law holds without its integral; default: the operating point's. scale (ny,): outputs that
+    count as equally large; default: what unit inputs move in the middle of the range.
     Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
     """
     for own in (model, *robust_to):
         check_schedule_from_outside(own, "the design of a PID")
-    grid = _knots(model, knots)
-    plan = _Plan(model, (model, *robust_to), grid, structure or Structure(), bounds, scale)
+    axes = _knots(model, knots)
+    plan = _Plan(model, (model, *robust_to), axes, structure or Structure(), bounds, scale)
+    grid = plan.grid
     held = plan.held(setpoint)
     plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), held)  # refuses limits that cross, before any work
     omega = plan.frequencies()
@@ -141,14 +146,14 @@ def design_pid(
         say(f"{plan.place(rho)}: integral action {first[-1].low_frequency.min():.3g} 1/s")
     alone = np.array([own.low_frequency.min() for own in first])
     X = np.concatenate([own.X for own in first], axis=1)
-    rhos = grid if len(grid) == 1 else np.sort(np.concatenate([grid, 0.5 * (grid[1:] + grid[:-1])]))
-    path = [X]
+    lines = _finer(axes, 2)
+    rhos, path = mesh(lines), [X]
     for attempt in range(REFINEMENTS):
         if len(grid) > 1 or attempt:
-            goals = np.exp(np.interp(rhos, grid, np.log(alone)))
+            goals = np.exp(plan.basis(rhos) @ np.log(alone))
             found = plan.tuned(rhos, plan.basis(rhos), omega, goals, path[::-1], REFINED if attempt else ENOUGH)
             X, path = found.X, found.path
-        law, checked = plan.law(X, held), plan.between(rhos)
+        law, checked = plan.law(X, held), mesh(_finer(lines, BETWEEN))
         margins = plan.margins(law, checked)
         bad = margins.broken(bounds)
         if not bad.any():
@@ -156,8 +161,11 @@ def design_pid(
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
             return PIDDesign(law, bounds, margins, grid, reached, alone, plan.scale)
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
-        worst = plan.worst(margins, rhos)
-        rhos = np.unique(np.concatenate([rhos, checked[worst]]))
+        worst = plan.worst(margins, lines)
+        rhos = np.unique(np.concatenate([rhos, checked[worst]]), axis=0)
+        lines = (
+            (rhos,) if len(lines) == 1 else lines
+        )  # a lattice through points of its cells would grow with their number squared
         omega = np.unique(np.concatenate([omega, margins.frequencies[worst].ravel()]))
     raise InputError(
         f"after {REFINEMENTS} refinements the loop still breaks its bounds at {plan.place(checked[bad][0])}: "
@@ -170,37 +178,54 @@ def design_pid(
 
 def _interface(model: LPVModel) -> tuple:
     """What two models must share for one law: channels with their units, the schedule among them, and the sample time."""
-    return [str(c) for c in model.inputs], [str(c) for c in model.outputs], str(model.schedule), model.dt
+    channels = (model.inputs, model.outputs, model.schedules)
+    return *([str(c) for c in own] for own in channels), model.dt
 
 
-def _knots(model: LPVModel, knots: int | Sequence[float]) -> np.ndarray:
-    """Schedule values at which the surface has its coefficients."""
-    if model.schedule is None:
-        return np.zeros(1)
-    low, high = model.span
+def _knots(model: LPVModel, knots: int | Sequence[Any] | None) -> tuple[np.ndarray, ...]:
+    """Values of each schedule variable at which the surface has its coefficients, and one value without schedule."""
+    ns = len(model.schedules)
+    if ns == 0:
+        return (np.zeros(1),)
+    if knots is None:
+        knots = KNOTS if ns == 1 else FEWER
+    each = [knots] * ns if isinstance(knots, int) else [knots] if ns == 1 else list(knots)
+    if len(each) != ns:
+        names = ", ".join(c.name for c in model.schedules)
+        raise InputError(f"{len(each)} numbers of knots", file=model.name, mend=f"one for all, or one for each of {names}")
+    return tuple(_along(c, span, own, model.name) for c, span, own in zip(model.schedules, model.spans, each, strict=True))
+
+
+def _along(schedule: Channel, span: np.ndarray, knots: int | Sequence[float], file: str) -> np.ndarray:
+    """The knots over one schedule variable."""
+    low, high = span
     if isinstance(knots, int):
         if knots < 1:
             raise InputError(f"{knots} knots", mend="one knot is a fixed PID, two a straight line")
         return np.linspace(low, high, knots) if knots > 1 else np.array([0.5 * (low + high)])
     given = np.unique(np.asarray(knots, dtype=float))
     if len(given) == 0 or given[0] < low or given[-1] > high:
-        unit = f" {model.schedule.unit}".rstrip()
-        raise InputError(
-            f"knots {given.tolist()}",
-            file=model.name,
-            mend=f"the model knows {model.schedule.name} from {low:g} to {high:g}{unit}",
-        )
+        known = f"the model knows {schedule.name} from {low:g} to {high:g} {schedule.unit}".rstrip()
+        raise InputError(f"knots {given.tolist()}", file=file, mend=known)
     return given
+
+
+def _finer(axes: Sequence[np.ndarray], parts: int) -> tuple[np.ndarray, ...]:
+    """Every gap between two values of a variable in so many parts."""
+    share = np.arange(parts) / parts
+    return tuple(np.append((own[:-1, None] + np.diff(own)[:, None] * share).ravel(), own[-1]) for own in axes)
 
 
 class _Plan:
     """A design under way: the models, where the surface has its coefficients, and what the law may look like."""
 
     def __init__(
-        self, model: LPVModel, models: Sequence[LPVModel], grid: np.ndarray, structure: Structure, bounds: Bounds,
+        self, model: LPVModel, models: Sequence[LPVModel], axes: Sequence[np.ndarray], structure: Structure, bounds: Bounds,
         scale: np.ndarray | None,
     ):  # fmt: skip
-        self.model, self.models, self.grid, self.structure, self.bounds = model, models, grid, structure, bounds
+        self.model, self.models, self.structure, self.bounds = model, models, structure, bounds
+        self.axes, self.grid = axes, mesh(axes)
+        grid = self.grid
         for other in models:
             if _interface(other) != _interface(model):
                 raise InputError("other inputs, outputs, schedule or sample time than the first model", file=other.name)
@@ -215,16 +240,15 @@ class _Plan:
     def frequencies(self) -> np.ndarray:
         """Where the programs look: evenly, and around what a plant resonates at."""
         poles = np.concatenate(
-            [np.linalg.eigvals(m.freeze(rho if m.schedule else None)[0]) for m in self.models for rho in self.grid]
+            [np.linalg.eigvals(m.freeze(rho if m.schedules else None)[0]) for m in self.models for rho in self.grid]
         )
         return np.union1d(frequencies(self.model.dt), around(resonant(poles), self.model.dt))
 
-    def place(self, rho: float) -> str:
-        schedule = self.model.schedule
-        return self.model.name if schedule is None else f"{schedule.name} = {rho:.4g} {schedule.unit}".rstrip()
+    def place(self, rho: Any) -> str:
+        return self.model.named(rho) or self.model.name
 
-    def frozen(self, model: LPVModel, rho: float, scale: np.ndarray) -> FrozenPoint:
-        A, B, C, D = model.freeze(None if model.schedule is None else rho)
+    def frozen(self, model: LPVModel, rho: Any, scale: np.ndarray) -> FrozenPoint:
+        A, B, C, D = model.freeze(rho if model.schedules else None)
         radius = np.abs(np.linalg.eigvals(A)).max(initial=0.0)
         if radius >= 1.0:
             raise InputError(
@@ -232,13 +256,18 @@ class _Plan:
                 file=model.name,
                 mend="identify another model, or cut the schedule range",
             )
-        return FrozenPoint(None if model.schedule is None else rho, model.dt, A, B, C, D, scale)
+        return FrozenPoint(rho if model.schedules else None, model.dt, A, B, C, D, scale)
 
     def parts(self, omega: np.ndarray) -> np.ndarray:
         return parts(omega, self.model.dt, self.Tf)[:, : 3 if self.structure.derivative else 2]
 
+    def surface(self) -> Basis:
+        """The functions whose coefficients are the gains at the knots."""
+        factors = tuple(PiecewiseLinear(own) for own in self.axes)
+        return CONSTANT if self.fixed else factors[0] if len(factors) == 1 else Products(factors)
+
     def basis(self, rhos: np.ndarray) -> np.ndarray:
-        return np.ones((len(rhos), 1)) if self.fixed else PiecewiseLinear(self.grid)(rhos)
+        return np.ones((len(rhos), 1)) if self.fixed else self.surface()(rhos)
 
     def tuned(self, rhos, weights, omega, goals=None, starts=(), enough=ENOUGH) -> Tuned:
         """One design for every model at every one of these schedule values; from one of `starts` where that keeps the bounds."""
@@ -263,7 +292,8 @@ class _Plan:
     def law(self, X: np.ndarray, held: np.ndarray) -> ScheduledPID:
         """The law with these parts; at rest at `held` (m, ny) it needs no integral."""
         model, structure = self.model, self.structure
-        nu, ny = len(model.inputs), len(model.outputs)
+        nu, ny, schedule = len(model.inputs), len(model.outputs), tuple(c.name for c in model.schedules)
+        span = np.array([[own[0], own[-1]] for own in self.axes])
         Kp, Ki, *rest = X / self.scale
         Kr, u0 = self.steady_inputs(held)
         u0 = u0 + (1.0 - structure.b) * np.einsum("iuy,iy->iu", Kp, held)  # what Kp (b r - y) leaves there
@@ -275,11 +305,10 @@ class _Plan:
             dt=model.dt, Kp=Kp, Ki=Ki, Kd=rest[0] if rest else np.zeros_like(Kp), Kr=Kr, u0=u0,
             b=np.full(ny, structure.b), c=np.zeros(ny),
             low=each(structure.low, -np.inf), high=each(structure.high, np.inf), rate=each(structure.rate, np.inf), Tf=self.Tf,
-            basis=CONSTANT if self.fixed else PiecewiseLinear(self.grid),
-            schedule=None if self.fixed else model.schedule.name,  # type: ignore[union-attr]
-            span=np.array([-np.inf, np.inf] if self.fixed else [self.grid[0], self.grid[-1]]),
+            basis=self.surface(), schedule=None if self.fixed else schedule[0] if len(schedule) == 1 else schedule,
+            span=np.array([-np.inf, np.inf]) if self.fixed else span if len(span) > 1 else span[0],
             name="pid" if self.fixed else "scheduled-pid",
-            units={c.name: c.unit for c in (*model.inputs, *model.outputs, *([model.schedule] if model.schedule else []))},
+            units={c.name: c.unit for c in (*model.inputs, *model.outputs, *model.schedules)},
         )  # fmt: skip
 
     def held(self, setpoint: Sequence[float] | np.ndarray | None) -> np.ndarray:
@@ -311,23 +340,15 @@ class _Plan:
 
     # ---- what was found, checked -----------------------------------------------------------------------------------------
 
-    def between(self, rhos: np.ndarray) -> np.ndarray:
-        """The schedule values of the program, and BETWEEN - 1 more in every gap."""
-        if self.fixed:
-            return rhos
-        share = np.arange(BETWEEN) / BETWEEN
-        return np.append((rhos[:-1, None] + np.diff(rhos)[:, None] * share).ravel(), rhos[-1])
-
-    def worst(self, margins: Margins, rhos: np.ndarray) -> np.ndarray:
-        """Indices of the checked schedule values that break the bounds most, one in every gap of the program."""
+    def worst(self, margins: Margins, lines: Sequence[np.ndarray]) -> np.ndarray:
+        """Indices of the checked schedule values that break the bounds most, one in every cell between these lines."""
         over = np.max([getattr(margins, key) / getattr(self.bounds, key) for key in PEAKS[:3]], axis=0)
         over = np.where(margins.broken(self.bounds), over, 0.0)
-        gap = np.searchsorted(rhos, margins.rho)
+        columns = np.reshape(margins.rho, (-1, len(lines))).T
+        cells = np.stack([np.searchsorted(line, own) for line, own in zip(lines, columns, strict=True)], axis=1)
+        gap = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
         return np.array([own[over[own].argmax()] for g in np.unique(gap) if over[own := np.nonzero(gap == g)[0]].max() > 0.0])
 
     def margins(self, law: ScheduledPID, rhos: np.ndarray) -> Margins:
         """The worst of all models at every schedule value."""
-        return worst_margins(law, self.models, self._at(self.model, rhos), self.bounds, self.scale)
-
-    def _at(self, model: LPVModel, rhos: np.ndarray) -> list[float | None]:
-        return [None if model.schedule is None else float(rho) for rho in rhos]
+        return worst_margins(law, self.models, list(rhos) if self.model.schedules else [None], self.bounds, self.scale)

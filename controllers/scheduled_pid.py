@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from workbench.basis import CONSTANT, Curve, PiecewiseLinear, Products, basis_from_dict, basis_to_dict, hats
+from workbench.basis import CONSTANT, Basis, basis_from_dict, basis_to_dict, functions_at, knots_of
 from workbench.errors import InputError, check_known
+from workbench.physics.controller import schedules_of
 from workbench.records import field, record
 
 if TYPE_CHECKING:
@@ -60,9 +61,9 @@ class ScheduledPID:
     u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the filtered derivative of c r - y.
 
     Kp (m, nu, ny), Ki [1/s], Kd [s], Kr, u0 (m, nu): coefficients of the m basis functions; Kr: feedforward of the set-points.
-    `schedule` names the measured output that is rho; outside `span` the gains hold their edge value. b, c (ny): set-point weights
-    of the proportional and the derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu):
-    limits of the command.
+    `schedule` names the measured output that is rho; outside `span` the gains hold their edge value. Of several schedule
+    variables `schedule` is a tuple, `span` (ns, 2), and rho (ns,). b, c (ny): set-point weights of the proportional and the
+    derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu): limits of the command.
 
         >>> law.gains_at(0.0).Ki.round(1), law.gains_at(10.0).Ki.round(1)
         (array([[5.1]]), array([[18.9]]))
@@ -84,9 +85,9 @@ class ScheduledPID:
     rate: np.ndarray = field("nu", unit="1/s", low=1e-300)
     Tf: float = field("", unit="s", low=0.0, high=FAR)
     anti_windup: AntiWindup = field(default_factory=BackCalculation)
-    basis: Curve = CONSTANT
-    schedule: str | None = None
-    span: np.ndarray = field("2", default=(-np.inf, np.inf))
+    basis: Basis = CONSTANT
+    schedule: str | tuple[str, ...] | None = None
+    span: np.ndarray = field("...", default=(-np.inf, np.inf))
     name: str = "scheduled-pid"
     units: dict[str, str] = field(default_factory=dict)  # of the channels by name, where they are known
 
@@ -104,9 +105,16 @@ class ScheduledPID:
         check_limits(self.name, self.actuated, self.low, self.high)
         if self.schedule is None and m > 1:
             raise InputError("the gains move with a schedule that is not named", file=self.name, mend="give schedule=")
-        if self.schedule is not None and not (np.isfinite(self.span).all() and self.span[0] < self.span[1]):
+        several = schedules_of(self) if isinstance(self.schedule, tuple) else ()
+        if len(several) == 1:
+            raise InputError(f"schedule {self.schedule}", file=self.name, mend=f"one variable by its name: {several[0]!r}")
+        low, high = self.span[..., 0], self.span[..., -1]
+        if self.span.shape != ((len(several), 2) if several else (2,)):
+            mend = f"({len(several)}, 2): lowest and highest of each of {', '.join(several)}" if several else "(lowest, highest)"
+            raise InputError(f"span of shape {self.span.shape}", file=self.name, mend=f"give span={mend}")
+        if self.schedule is not None and not (np.isfinite(self.span).all() and np.all(low < high)):
             raise InputError(
-                f"schedule range from {self.span[0]:g} to {self.span[1]:g}", file=self.name, mend="give span=(lowest, highest)"
+                f"schedule range from {low.tolist()} to {high.tolist()}", file=self.name, mend="give span=(lowest, highest)"
             )
         if self.tracking.shape != (nu,) or not np.all(self.tracking >= self.dt):
             raise InputError(
@@ -120,7 +128,7 @@ class ScheduledPID:
             return np.full(len(self.actuated), np.inf)
         if self.anti_windup.tracking is not None:
             return np.atleast_1d(np.asarray(self.anti_windup.tracking, dtype=float))
-        middle = self.gains_at(float(np.mean(self.span)) if self.schedule else None)
+        middle = self.gains_at(self.span.mean(axis=-1) if self.schedule else None)
         direct, integral = np.linalg.norm(middle.Kp, axis=1), np.linalg.norm(middle.Ki, axis=1)
         times = np.divide(direct, integral, out=np.full(len(direct), self.dt), where=integral > 0.0)
         return np.maximum(times, self.dt)
@@ -140,18 +148,19 @@ class ScheduledPID:
         """How far a schedule leaves the span, where the gains hold their edge value, in widths of the span; 0 inside."""
         if self.schedule is None:
             return 0.0
-        return float(np.max(np.maximum(self.span[0] - rho, rho - self.span[1]), initial=0.0) / np.ptp(self.span))
+        low, high = self.span[..., 0], self.span[..., 1]
+        return float(np.max(np.maximum(low - rho, rho - high) / (high - low), initial=0.0))
 
-    def gains_at(self, rho: float | None = None) -> "Gains":
-        """Kp, Ki, Kd, Kr (nu, ny) and u0 (nu,) at one schedule value."""
-        weight = self.basis(np.clip(0.0 if rho is None else rho, *self.span))
+    def gains_at(self, rho: Any = None) -> "Gains":
+        """Kp, Ki, Kd, Kr (nu, ny) and u0 (nu,) at one schedule value, (ns,) of several variables."""
+        weight = self.basis(np.clip(0.0 if rho is None else rho, self.span[..., 0], self.span[..., 1]))
         return Gains(*(np.tensordot(weight, getattr(self, key), 1) for key in Gains._fields))
 
-    def offset(self, rho: float | None = None) -> np.ndarray:
+    def offset(self, rho: Any = None) -> np.ndarray:
         """u0 (nu,) at one schedule value."""
         return self.gains_at(rho).u0
 
-    def at(self, rho: float | None = None) -> "control.StateSpace":
+    def at(self, rho: Any = None) -> "control.StateSpace":
         """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y.
 
         Without the z of commands that nothing is integrated for: they stay at 0, and are no pole at 1.
@@ -173,7 +182,7 @@ class ScheduledPID:
             A, B, C, D, self.dt, inputs=[*self.references, *self.measured], outputs=list(self.actuated), name=self.name
         )
 
-    def response(self, omega: np.ndarray, rho: float | None = None) -> np.ndarray:
+    def response(self, omega: np.ndarray, rho: Any = None) -> np.ndarray:
         """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1, without Kr."""
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
 
@@ -195,7 +204,9 @@ class ScheduledPID:
             "kind": KIND,
             "law": LAW,
             "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
-            "references": list(self.references), "schedule": self.schedule, "span": finite(self.span),
+            "references": list(self.references),
+            "schedule": list(self.schedule) if isinstance(self.schedule, tuple) else self.schedule,
+            "span": _finite_ends(self.span),
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "Kr": self.Kr, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
@@ -205,18 +216,15 @@ class ScheduledPID:
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
         """The law that `to_dict` wrote."""
         anti_windup = dict(content["anti_windup"])
-        span, basis = content["span"], basis_from_dict(content["basis"])
-        if isinstance(basis, Products):
-            raise InputError("gains over several schedules", file=content["name"], mend="a scheduled PID follows one")
+        schedule = tuple(own) if isinstance(own := content["schedule"], list) else own
         return cls(
             actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
             dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"],
             Kr=content.get("Kr", np.zeros(np.shape(content["Kp"]))), u0=content["u0"], b=content["b"], c=content["c"],
             low=unlimited(content["low"], -np.inf), high=unlimited(content["high"], np.inf),
-            rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis,
+            rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
-            schedule=content["schedule"], name=content["name"], units=dict(content.get("units", {})),
-            span=np.append(unlimited(span[:1], -np.inf), unlimited(span[1:], np.inf)),
+            schedule=schedule, name=content["name"], units=dict(content.get("units", {})), span=_ends(content["span"]),
         )  # fmt: skip
 
     def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:
@@ -230,9 +238,9 @@ class ScheduledPID:
     @property
     def gains(self) -> np.ndarray:
         """Every number of the law, but those of a basis that is not piecewise linear, in the order in which `law` takes them."""
-        knots = self.basis.knots if isinstance(self.basis, PiecewiseLinear) else np.empty(0)  # other knots, same kernel
         surfaces = (self.Kp, self.Ki * self.dt, self.Kd, self.Kr, self.u0)
-        numbers = (self.span, knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
+        knots = knots_of(self.basis)  # other knots, same kernel
+        numbers = (self.span, *knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
         decay = self.Tf / (self.Tf + self.dt)
         every = np.concatenate([*(n.ravel() for n in numbers), self.dt / self.tracking, [decay, (1 - decay) / self.dt]])
         return np.clip(every, -FAR, FAR)  # compiled limits count on finite numbers
@@ -263,16 +271,16 @@ class ScheduledPID:
             after.append(z + push + K.follow[i] * (u[i] - v))
         return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold]
 
-    def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """One sample: (u, next memory). Where a set-point, a measurement or the schedule is no finite number, the last command
         is held and nothing is remembered: the sample is left out.
         """
-        if not np.isfinite([*r, *y, 0.0 if self.schedule is None or rho is None else rho]).all():
+        if not np.isfinite([*r, *y, *np.atleast_1d(0.0 if self.schedule is None or rho is None else rho)]).all():
             return np.clip(self._split(state).u, self.low, self.high), state
         u, after = self.law(self.gains, state, r, y, rho)
         return np.array(u, dtype=float), np.array(after, dtype=float)
 
-    def follow(self, state: np.ndarray, u: np.ndarray, r: np.ndarray, y: np.ndarray, rho: float | None = None) -> np.ndarray:
+    def follow(self, state: np.ndarray, u: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> np.ndarray:
         """Memory after a sample in which somebody else commanded u: a person, another controller, this one with other gains.
 
         The next command goes on from u without a bump; use it in place of `step` while the loop is open, and once with the new
@@ -301,9 +309,12 @@ class ScheduledPID:
         def take(n: int) -> list:
             return [gains[next(rest)] for _ in range(n)]
 
-        low, high = take(2)
-        inside = 0.0 if self.schedule is None else np.maximum(low, np.minimum(high, rho))
-        phi = hats(inside, take(m)) if isinstance(self.basis, PiecewiseLinear) else self.basis.functions(inside)
+        ends, several = [take(2) for _ in self.span.reshape(-1, 2)], isinstance(self.schedule, tuple)
+        values = [rho[i] for i in range(len(ends))] if several else [rho]
+        inside = [
+            0.0 if self.schedule is None else np.maximum(a, np.minimum(b, v)) for (a, b), v in zip(ends, values, strict=True)
+        ]
+        phi = functions_at(self.basis, inside if several else inside[0], [take(len(own)) for own in knots_of(self.basis)])
 
         def surface(n: int) -> list:
             terms = [take(n) for _ in range(m)]
@@ -378,6 +389,18 @@ def check_limits(law: str, channels: Sequence[str], lows: np.ndarray, highs: np.
 def finite(values: np.ndarray) -> list[float | None]:
     """Limits for a file: null where there is none."""
     return [float(v) if np.isfinite(v) else None for v in values]
+
+
+def _finite_ends(span: np.ndarray) -> list:
+    """A span for a file, (2,) or (ns, 2)."""
+    return finite(span) if span.ndim == 1 else [finite(own) for own in span]
+
+
+def _ends(span: Any) -> np.ndarray:
+    """A span from a file."""
+    if np.ndim(span) == 2:
+        return np.array([_ends(own) for own in span])
+    return np.append(unlimited(span[:1], -np.inf), unlimited(span[1:], np.inf))
 
 
 def unlimited(values: list[float | None], none: float) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Controllers for other programs, as tables: the gains of a scheduled PID, and the matrices of an MPC over the schedule.
 
-Between rows a program interpolates linearly, outside the table it holds the edge row. Where that is not the law itself, the
-largest difference is stated. As source text a law is written by `code`.
+Between rows a program interpolates linearly, outside the table it holds the edge row. Of several schedule variables the rows are
+a lattice, and it interpolates in each of them. Where that is not the law itself, the largest difference is stated. As source text
+a law is written by `code`.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from controllers.mpc import MPC, Extrapolated
-from controllers.observer import interpolated
 from controllers.scheduled_pid import LAW, BackCalculation, ScheduledPID, finite
-from workbench.basis import Basis, PiecewiseLinear, Powers
+from workbench.basis import Basis, PiecewiseLinear, Powers, Products
 from workbench.errors import InputError
+from workbench.lpv import mesh
+from workbench.physics.controller import schedules_of
 from workbench.provenance import program
 
 GAIN_TABLE, MATRICES = "gain-scheduling-workbench/gain-table", "gain-scheduling-workbench/mpc-matrices"
@@ -21,6 +23,7 @@ VERSION = 1
 FINER = 32  # points between two rows at which interpolation is compared with what it stands for
 POINTS = 21  # rows where no number of them makes linear interpolation exact
 INTERPOLATION = "linear between rows, the edge row outside"
+SEVERAL = "rows are a lattice: linear in each schedule variable between its values, the edge value outside"
 PROGRAM = {
     "minimise": "1/2 (sum over i = 1..N-1 of |y_i - r_i - (yt - r_N)|_Q^2, + sum over i = 0..N-1 of |u_i - u_(i-1)|_S^2 + "
     "|u_i - ut|_R^2, + |(x_N - xt, u_(N-1) - ut)|_P^2) + violation (sqrt(q) s + 1/2 q s^2) over the outputs with limits",
@@ -44,38 +47,43 @@ def table_points(basis: Basis, span: np.ndarray) -> np.ndarray:
     return np.linspace(span[0], span[1], 2 if straight else POINTS)
 
 
-def gain_points(law: ScheduledPID) -> np.ndarray:
-    """Schedule values of the rows of a law's gain table; one row without schedule."""
-    return np.zeros(1) if law.schedule is None else table_points(law.basis, law.span)
+def gain_axes(law: ScheduledPID) -> list[np.ndarray]:
+    """Values of each schedule variable whose lattice are the rows of a law's gain table; one value without schedule."""
+    if law.schedule is None:
+        return [np.zeros(1)]
+    factors = law.basis.factors if isinstance(law.basis, Products) else (law.basis,)
+    return [table_points(own, span) for own, span in zip(factors, np.reshape(law.span, (-1, 2)), strict=True)]
 
 
 def gain_csv(law: ScheduledPID) -> str:
     """Kp, Ki, Kd, Kr and u0 over the schedule as CSV, a column a number; units where they are known."""
-    header = [f"{law.schedule} [{law.unit(law.schedule)}]"] if law.schedule else []
+    schedules = schedules_of(law)
+    header = [f"{name} [{law.unit(name)}]" for name in schedules]
     for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s"), ("Kr", "")):
         header += [f"{name}_{a}_{m} {law.gain_unit(a, m, time)}".rstrip() for a in law.actuated for m in law.measured]
     header += [f"u0_{a}" + f" [{law.unit(a)}]" * bool(law.unit(a)) for a in law.actuated]
     rows = [",".join(header)]
-    for rho in gain_points(law):
+    for rho in mesh(gain_axes(law)):
         numbers = [np.ravel(K) for K in law.gains_at(rho)]
-        rows.append(",".join(repr(float(v)) for v in np.concatenate([[rho][: law.schedule is not None], *numbers])))
+        rows.append(",".join(repr(float(v)) for v in np.concatenate([np.atleast_1d(rho)[: len(schedules)], *numbers])))
     return "\n".join(rows) + "\n"
 
 
 def gain_table(law: ScheduledPID) -> dict[str, Any]:
     """All of a PID law but its memory, as plain numbers; gains (nu, ny) by row."""
     named = lambda names: [{"name": name, "unit": law.unit(name)} for name in names]  # noqa: E731
-    points = gain_points(law)
+    axes, schedules = gain_axes(law), named(schedules_of(law))
+    points = mesh(axes)
     rows = [law.gains_at(rho)._asdict() for rho in points]
     back = isinstance(law.anti_windup, BackCalculation)
     return {
         "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name, "law": LAW, "dt": law.dt,
         "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
-        "schedule": {"name": law.schedule, "unit": law.unit(law.schedule)} if law.schedule else None,
+        "schedule": schedules if len(schedules) > 1 else schedules[0] if schedules else None,
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
-        "interpolation": INTERPOLATION,
-        "largest_difference": _differences(points, rows, lambda rho: law.gains_at(rho)._asdict()),
+        "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
+        "largest_difference": _differences(axes, rows, lambda rho: law.gains_at(rho)._asdict()),
         "rows": [({"rho": rho} if law.schedule else {}) | row for rho, row in zip(points, rows, strict=True)],
     }  # fmt: skip
 
@@ -91,7 +99,8 @@ def mpc_matrices(law: MPC) -> dict[str, Any]:
             mend="export --fallback, or design it without --tube",
         )  # fmt: skip
     model, named = law.model, lambda channels: [{"name": c.name, "unit": c.unit} for c in channels]
-    points = _matrix_points(law)
+    axes, schedules = _matrix_axes(law), named(model.schedules)
+    points = mesh(axes)
     rows = [_matrices(law, rho) for rho in points]
     nx, nu, ny, nd = model.order, len(model.inputs), len(model.outputs), law.observer.L.shape[1] - model.order
     shapes = {"A": (nx, nx), "B": (nx, nu), "C": (ny, nx), "u0": (nu,), "y0": (ny,), "L": (nx + nd, ny), "J": (nx + nd, ny),
@@ -99,27 +108,30 @@ def mpc_matrices(law: MPC) -> dict[str, Any]:
     return {
         "schema": MATRICES, "version": VERSION, "program": program(), "name": law.name, "equations": PROGRAM, "dt": law.dt,
         "horizon": law.horizon, "inputs": named(model.inputs), "outputs": named(model.outputs),
-        "schedule": named([model.schedule])[0] if model.schedule else None,
+        "schedule": schedules if len(schedules) > 1 else schedules[0] if schedules else None,
         "disturbances": "inputs" if law.observer.at_inputs else "outputs", "weights": vars(law.weights),
         "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate), "y_low": finite(law.y_low),
         "y_high": finite(law.y_high), "memory": law.prediction.memory if isinstance(law.prediction, Extrapolated) else None,
-        "shapes": shapes, "interpolation": INTERPOLATION,
-        "largest_difference": _differences(points, rows, lambda rho: _matrices(law, rho)),
-        "rows": [({"rho": rho} if model.schedule else {}) | row for rho, row in zip(points, rows, strict=True)],
+        "shapes": shapes, "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
+        "largest_difference": _differences(axes, rows, lambda rho: _matrices(law, rho)),
+        "rows": [({"rho": rho} if schedules else {}) | row for rho, row in zip(points, rows, strict=True)],
     }  # fmt: skip
 
 
-def _matrix_points(law: MPC) -> np.ndarray:
-    """Schedule values of an MPC's rows: those of its observer and its terminal cost, and what the model needs between."""
-    model = law.model
-    if model.schedule is None:
-        return np.zeros(1)
-    own = [table_points(basis, model.span) for basis in (model.basis, model.operating_point.basis)]
-    points = np.unique(np.concatenate([law.observer.rho, law.terminal[0], *own]))
-    return points[np.diff(points, prepend=-np.inf) > 1e-9 * np.ptp(model.span)]  # two grids meet but for rounding
+def _matrix_axes(law: MPC) -> list[np.ndarray]:
+    """Values of each schedule variable of an MPC's rows: those of its observer and its terminal cost, and what the model needs
+    between.
+    """
+    model, found = law.model, []
+    bases = [own.factors if isinstance(own, Products) else (own,) for own in (model.basis, model.operating_point.basis)]
+    for i, span in enumerate(model.spans):
+        own = [grid.reshape(len(grid), -1)[:, i] for grid in (law.observer.rho, law.terminal[0])]
+        points = np.unique(np.concatenate([*own, *(table_points(factors[i], span) for factors in bases)]))
+        found.append(points[np.diff(points, prepend=-np.inf) > 1e-9 * np.ptp(span)])  # two grids meet but for rounding
+    return found or [np.zeros(1)]
 
 
-def _matrices(law: MPC, rho: float) -> dict[str, np.ndarray]:
+def _matrices(law: MPC, rho: Any) -> dict[str, np.ndarray]:
     A, B, C, _ = law.model.freeze(rho)
     (u0,), (y0,) = law.operating(np.array([rho]))
     L, J = law.observer.gains(rho)
@@ -127,12 +139,17 @@ def _matrices(law: MPC, rho: float) -> dict[str, np.ndarray]:
 
 
 def _differences(
-    points: np.ndarray, rows: Sequence[dict[str, np.ndarray]], exact: Callable[[float], dict[str, np.ndarray]]
+    axes: Sequence[np.ndarray], rows: Sequence[dict[str, np.ndarray]], exact: Callable[[Any], dict[str, np.ndarray]]
 ) -> dict[str, float]:
     """Largest |interpolated - exact| of every quantity between the rows."""
     stacked = {key: np.array([row[key] for row in rows]) for key in rows[0]}
     found = dict.fromkeys(stacked, 0.0)
-    for rho in np.interp(np.arange(1, FINER * (len(points) - 1)) / FINER, np.arange(len(points)), points):
+    finer = FINER if len(axes) == 1 else FINER // 8
+    between = [np.interp(np.arange(finer * (len(own) - 1) + 1) / finer, np.arange(len(own)), own) for own in axes]
+    hats = [PiecewiseLinear(own) for own in axes]
+    basis = hats[0] if len(hats) == 1 else Products(tuple(hats))
+    for rho in mesh(between) if len(rows) > 1 else ():
+        weights = basis(rho)
         for key, value in exact(rho).items():
-            found[key] = max(found[key], float(np.abs(interpolated(points, stacked[key], rho) - value).max()))
+            found[key] = max(found[key], float(np.abs(np.tensordot(weights, stacked[key], 1) - value).max()))
     return found

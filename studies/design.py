@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.designs import KNOTS, ScheduledPIDDesign, command_limits, setpoint_of
+from controllers.designs import ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
@@ -59,8 +59,8 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     if path:
         write_text(folder / "gains.csv", gain_csv(found.law))
     over = found.margins
-    if kind == "pid" and model.schedule is not None:
-        over = worst_margins(found.law, models, list(np.linspace(model.span[0], model.span[1], POINTS)), bounds, found.scale)
+    if kind == "pid" and model.schedules:
+        over = worst_margins(found.law, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
     _say_limits(found.law, model, say)
@@ -112,7 +112,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
             raise InputError("not a PID", file=options.fallback, mend="workbench design scheduled-pid, or leave --fallback out")
     else:
         progress("fallback law: scheduled PID")
-        fallback = _tuned(options, "pid" if model.schedule is None else "scheduled-pid", model, progress).law
+        fallback = _tuned(options, "scheduled-pid" if model.schedules else "pid", model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
     common = {"horizon": options.horizon, "weights": default_weights(model, options.move), **limits}
     if chosen and kind == "nmpc":
@@ -231,29 +231,48 @@ def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | No
     if setpoint is None:
         return
     u = []
-    for rho in np.linspace(model.span[0], model.span[1], POINTS) if model.schedule else (0.0,):
-        A, B, C, D = model.freeze(rho if model.schedule else None)
-        phi, gain = model.operating_point.basis(np.array(rho)), C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
+    for rho in model.frozen_values(POINTS):
+        A, B, C, D = model.freeze(rho)
+        phi, gain = (
+            model.operating_point.basis(np.array(0.0 if rho is None else rho)),
+            C @ np.linalg.solve(np.eye(len(A)) - A, B) + D,
+        )
         u.append(phi @ model.operating_point.u + np.linalg.pinv(gain) @ (setpoint - phi @ model.operating_point.y))
-    over = f" over {model.schedule.name}" if model.schedule else ""
+    over = f" over {', '.join(c.name for c in model.schedules)}" if model.schedules else ""
     for c, each, low, high in zip(model.inputs, np.transpose(u), law.low, law.high, strict=True):
         say(f"  the set-point takes {c.name} from {each.min():.4g} to {each.max():.4g} {c.unit}{over}")
         if each.min() < low or each.max() > high:
             say(f"warning: {c.name}: its limits, {low:g} to {high:g} {c.unit}, do not let it hold this set-point everywhere")
 
 
-def _knots(options: Namespace, kind: str, model: LPVModel) -> int | list[float]:
+def _knots(options: Namespace, kind: str, model: LPVModel) -> int | Sequence[Any] | None:
+    own = names(options.knots) if options.knots is not None else []
+    counts = [int(text) for text in own if text.isdigit()]
+    if len(counts) < len(own) or 0 in counts:
+        raise InputError(f"--knots {options.knots}", mend="a number, or one for each schedule variable: --knots 5,3")
     if kind == "pid":
         if options.knots is not None:
             raise InputError("--knots is for a scheduled law", mend="leave it out, or workbench design scheduled-pid")
-        return 1 if options.at is None else [options.at]
+        return 1 if options.at is None else _at(options.at, model)
     if options.at is not None:
         raise InputError("--at is for a fixed law", mend="workbench design pid --at VALUE")
-    if model.schedule is None:
+    if not model.schedules:
         raise InputError("has no schedule", file=options.model, mend="workbench design pid, or identify with --schedule")
-    if options.knots == 1:
+    if counts and max(counts) == 1:
         raise InputError("1 knot", mend="a scheduled law has two or more; for one: workbench design pid")
-    return options.knots or KNOTS
+    return None if not counts else counts[0] if len(counts) == 1 else counts
+
+
+def _at(text: str, model: LPVModel) -> list:
+    """The schedule value of a fixed law, of several variables a value each, as knots."""
+    try:
+        values = [float(own) for own in names(text)]
+    except ValueError:
+        values = []
+    if not values or len(values) != max(1, len(model.schedules)):
+        every = ",".join(c.name.upper() for c in model.schedules) or "VALUE"
+        raise InputError(f"--at {text}", mend=f"a value of every schedule variable: --at {every}")
+    return values if len(values) == 1 else [[own] for own in values]
 
 
 def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
@@ -279,21 +298,23 @@ def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
 
 def _described(model: LPVModel) -> str:
     inputs, outputs = (", ".join(c.name for c in channels) for channels in (model.inputs, model.outputs))
-    schedule = model.schedule
-    over = f"; {schedule.name} from {model.span[0]:.4g} to {model.span[1]:.4g} {schedule.unit}" if schedule else ""
+    ranges = (
+        f"{c.name} from {a:.4g} to {b:.4g} {c.unit}".rstrip() for c, (a, b) in zip(model.schedules, model.spans, strict=True)
+    )
+    over = "".join(f"; {own}" for own in ranges)
     return f"{model.name}: {outputs} from {inputs}, order {model.order}, sampled every {model.dt:g} s{over}"
 
 
 def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> None:
-    bounds, schedule = found.bounds, model.schedule
-    if schedule is not None:
+    bounds = found.bounds
+    if model.schedules:
         heads = "max |S|   max |T|   effort   bandwidth [rad/s]   delay margin [ms]   largest pole"
-        say(f"{schedule.name} [{schedule.unit}]   {heads}")
-        shown = np.append(np.linspace(0, len(over.rho) - 1, 7).round().astype(int), over.sensitivity.argmax())
-        for i in np.unique(shown):
+        say(f"{'   '.join(f'{c.name} [{c.unit}]' for c in model.schedules)}   {heads}")
+        for i in _shown(over, model):
             say(
-                f"{over.rho[i]:<10.5g} {over.sensitivity[i]:8.3f} {over.complementary[i]:9.3f} {over.effort[i]:8.2f} "
-                f"{over.bandwidth[i]:12.2f} {1e3 * over.delay[i].min():19.1f} {over.radius[i]:18.4f}"
+                f"{'   '.join(f'{v:<10.5g}' for v in np.atleast_1d(over.rho[i]))} {over.sensitivity[i]:8.3f} "
+                f"{over.complementary[i]:9.3f} {over.effort[i]:8.2f} {over.bandwidth[i]:12.2f} {1e3 * over.delay[i].min():19.1f} "
+                f"{over.radius[i]:18.4f}"
             )
     say(_worst_said(found, over, model))
     if len(found.knots) > 1:
@@ -301,17 +322,26 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
         say(f"integral action: at least {share:.0%} of what a law made for each knot alone reaches")
     elif over.broken(bounds).any():
         say(
-            f"away from {found.knots[0]:.4g} {schedule.unit if schedule else ''} the fixed law breaks its bounds at "
+            f"away from {model.named(found.knots[0])} the fixed law breaks its bounds at "
             f"{over.broken(bounds).sum()} of {len(over.rho)} schedule values: workbench design scheduled-pid keeps them"
         )
     say(f"largest further delay of one command: {1e3 * over.delay.min():.0f} ms, {over.delay.min() / model.dt:.1f} samples")
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
 
 
+def _shown(over: Margins, model: LPVModel) -> np.ndarray:
+    """Which frozen loops are printed: seven over one schedule variable, the corners of several, and the worst."""
+    if len(model.schedules) < 2:
+        own = np.linspace(0, len(over.rho) - 1, 7).round().astype(int)
+    else:
+        own = np.flatnonzero(np.all((over.rho == over.rho.min(axis=0)) | (over.rho == over.rho.max(axis=0)), axis=1))
+    return np.unique(np.append(own, over.sensitivity.argmax()))
+
+
 def _worst_said(found: PIDDesign, over: Margins, model: LPVModel) -> str:
     """The largest sensitivity, and where."""
     worst = int(over.sensitivity.argmax())
-    at = f" at {model.schedule.name} = {over.rho[worst]:.4g} {model.schedule.unit}" if model.schedule else ""
+    at = f" at {model.named(over.rho[worst])}" if model.schedules else ""
     return (
         f"largest sensitivity {over.sensitivity[worst]:.3f}{at}, asked {found.bounds.sensitivity:g}; {len(over.rho)} frozen loops"
     )
@@ -319,10 +349,11 @@ def _worst_said(found: PIDDesign, over: Margins, model: LPVModel) -> str:
 
 def _write_margins(margins: Margins, model: LPVModel, path: Path) -> None:
     loops = [f"S_{c.name}" for c in model.inputs]
-    head = ["rho" if model.schedule is None else f"{model.schedule.name} [{model.schedule.unit}]", "S", "T", "effort", *loops]
+    head = [*([f"{c.name} [{c.unit}]" for c in model.schedules] or ["rho"]), "S", "T", "effort", *loops]
     delays = [f"delay_margin_{c.name} [s]" for c in model.inputs]
     rows = [",".join([*head, "largest_pole", "bandwidth [rad/s]", *delays])]
     for i in range(len(margins.rho)):
-        numbers = [margins.rho[i], margins.sensitivity[i], margins.complementary[i], margins.effort[i], *margins.loops[i]]
+        at = np.atleast_1d(margins.rho[i])
+        numbers = [*at, margins.sensitivity[i], margins.complementary[i], margins.effort[i], *margins.loops[i]]
         rows.append(",".join(f"{v:.9g}" for v in [*numbers, margins.radius[i], margins.bandwidth[i], *margins.delay[i]]))
     write_text(path, "\n".join(rows) + "\n")

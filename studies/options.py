@@ -113,8 +113,9 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
 def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("kind", metavar="LAW", help="scheduled-pid, pid (fixed gains), mpc, or nmpc (on the plant's own equation)")
     sub.add_argument("--model", required=True, metavar="MODEL", help="model file written by identify")
-    sub.add_argument("--knots", type=_positive, metavar="N", help="scheduled-pid: schedule values with own gains (default 5)")
-    sub.add_argument("--at", type=float, metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
+    knots = "scheduled-pid: schedule values with own gains (default 5), of several variables for all or for each (default 3)"
+    sub.add_argument("--knots", metavar="N[,N..]", help=knots)
+    sub.add_argument("--at", metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
     sub.add_argument("--sensitivity", type=float, default=1.6, metavar="MS", help="largest sensitivity |S| (default 1.6)")
     sub.add_argument("--complementary", type=float, default=1.6, metavar="MT", help="largest |T| (default 1.6)")
     sub.add_argument(
@@ -185,7 +186,9 @@ def _check(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--lags", type=_positive, default=1, help="samples of y and u that errors may depend on (default 1)")
     sub.add_argument("--bound", metavar="E,E", help="largest error of each output beyond its parameters (default: the model's)")
-    sub.add_argument("--nodes", type=_positive, default=5, help="schedule values at which stability is proved (default 5)")
+    sub.add_argument(
+        "--nodes", type=_positive, help="schedule values at which stability is proved (default 5, of each of several variables 3)"
+    )
     sub.add_argument("--rate", type=float, metavar="R", help="prove stability while the schedule moves by up to R a second too")
     sub.add_argument("--runs", type=_positive, help="runs of the plant for each limit (default 400, 40 for an MPC)")
     sub.add_argument("--seed", type=_seed, default=0, help="seed of the searches (default 0)")

@@ -5,6 +5,7 @@ One variable: rho is a number, an array or a CasADi symbol. Several: its last ax
 """
 
 import itertools
+from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
@@ -144,9 +145,12 @@ class Products:
         return stacked(self, rho)
 
     def functions(self, rho) -> list:
-        """phi_j at the variables (..., ns), or at a CasADi symbol (ns)."""
+        """phi_j at the variables (..., ns), or at a list of numbers or CasADi symbols."""
         columns = [rho[..., i] if isinstance(rho, np.ndarray) else rho[i] for i in range(len(self.factors))]
-        by = [factor.functions(own) for factor, own in zip(self.factors, columns, strict=True)]
+        return self.products([factor.functions(own) for factor, own in zip(self.factors, columns, strict=True)])
+
+    def products(self, by: list[list]) -> list:
+        """phi_j from the functions of every factor."""
         return [reduce(lambda a, b: a * b, [own[k] for own, k in zip(by, row, strict=True)]) for row in self.chosen]
 
     @property
@@ -212,6 +216,22 @@ def hats(rho, knots: Any) -> list:
     # each is the lower of the side that leads up to its knot and the side that leads down from it
     up, down = [0.0 * rho + 1.0, *rise], [*(1.0 - r for r in rise), 0.0 * rho + 1.0]
     return [np.maximum(np.minimum(a, b), 0.0) for a, b in zip(up, down, strict=True)]
+
+
+def knots_of(basis: Basis) -> list[np.ndarray]:
+    """The knots of a basis that interpolates linearly, of each of its variables; none of another one."""
+    factors = basis.factors if isinstance(basis, Products) else (basis,)
+    own = [factor.knots for factor in factors if isinstance(factor, PiecewiseLinear)]
+    return own if len(own) == len(factors) else []
+
+
+def functions_at(basis: Basis, rho: Any, knots: Sequence[Any]) -> list:
+    """phi_j at a value, or at a list of them of several variables, with these knots in place of those of `knots_of`."""
+    if not knots:
+        return basis.functions(rho)
+    if isinstance(basis, Products):
+        return basis.products([hats(own, at) for own, at in zip(rho, knots, strict=True)])
+    return hats(rho, knots[0])
 
 
 def stacked(basis: Basis, rho: np.ndarray) -> np.ndarray:

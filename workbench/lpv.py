@@ -208,6 +208,20 @@ class LPVModel:
         beyond = self.reach * np.diff(self.spans) * [-1.0, 1.0]
         return lattice(self.spans + beyond, points)
 
+    def frozen_values(self, points: int) -> list:
+        """Schedule values over the spans at which the model is frozen, see `lattice`; [None] without schedule."""
+        grid = lattice(self.spans, points)
+        return [None] if not self.schedules else grid.tolist() if grid.ndim == 1 else list(grid)
+
+    def path(self, samples: int) -> np.ndarray:
+        """The schedule going once over its span, (N,), zeros without any; of several variables the i-th, counted from 0, goes
+        from end to end 2 i + 1 times, (N, ns).
+        """
+        share = np.linspace(0.0, 1.0, samples)
+        shares = [np.abs((way * share + 1.0) % 2.0 - 1.0) for way in range(1, 2 * len(self.spans), 2)]
+        way = [low + own * (high - low) for own, (low, high) in zip(shares, self.spans, strict=True)]
+        return np.zeros(samples) if not way else way[0] if len(way) == 1 else np.stack(way, axis=1)
+
     def named(self, rho: Any) -> str:
         """A schedule value with the names and units of its variables, "r2 = 0.1 m, q2 = 0.3 rad"; "" without schedule."""
         values = np.atleast_1d(rho) if self.schedules else ()
@@ -501,8 +515,18 @@ def lattice(spans: np.ndarray, points: int) -> np.ndarray:
     if len(spans) < 2:
         return np.linspace(spans[0, 0], spans[0, 1], points) if len(spans) else np.zeros(1)
     each = max(2, round(points ** (2.0 / len(spans))))
-    axes = np.meshgrid(*(np.linspace(low, high, each) for low, high in spans), indexing="ij")
-    return np.stack([axis.ravel() for axis in axes], axis=1)
+    return mesh([np.linspace(low, high, each) for low, high in spans])
+
+
+def mesh(axes: Sequence[np.ndarray]) -> np.ndarray:
+    """Every combination of values of each schedule variable: (n,) of one variable, (n, ns) of several, the last one fastest.
+
+    >>> mesh([np.array([0.0, 1.0]), np.array([5.0, 6.0])]).tolist()
+    [[0.0, 5.0], [0.0, 6.0], [1.0, 5.0], [1.0, 6.0]]
+    """
+    if len(axes) == 1:
+        return np.asarray(axes[0], dtype=float)
+    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
 
 def load_model(path) -> LPVModel:

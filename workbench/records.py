@@ -21,7 +21,10 @@ class RecordError(ValueError):
 
 
 def field(shape: str | None = None, *, unit: str = "", low: float = -math.inf, high: float = math.inf, **options) -> Any:
-    """Declare a field: `shape` is sizes or names ("N 2"), "" a scalar, None anything; bounds are inclusive."""
+    """Declare a field: `shape` is sizes or names ("N 2"), "" a scalar, None anything; bounds are inclusive.
+
+    "N ...": any axes may follow.
+    """
     return dataclasses.field(metadata={"shape": shape, "unit": unit, "low": low, "high": high}, **options)
 
 
@@ -50,6 +53,8 @@ def _checked(owner: str, f: dataclasses.Field, value: Any, sizes: dict[str, tupl
         array = np.array(value, dtype=float)
     except (TypeError, ValueError) as reason:
         raise RecordError(f"{place}: not numbers ({reason}); expected shape ({', '.join(names)})") from None
+    if names[-1:] == ["..."]:
+        names = names[:-1] + [str(size) for size in array.shape[len(names) - 1 :]]
     if array.ndim != len(names):
         raise RecordError(f"{place}: shape {array.shape}, expected ({', '.join(names)})")
     for size, name in zip(array.shape, names, strict=True):

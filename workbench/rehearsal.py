@@ -16,7 +16,7 @@ import numpy as np
 from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
-from workbench.physics.controller import stepped
+from workbench.physics.controller import schedules_of, stepped
 from workbench.records import field, record
 
 HOLD = (1.0, 4.0)  # s, shortest and longest stay at a set-point
@@ -25,14 +25,15 @@ NO_WORSE = 1.01  # ratio of costs up to which a calmer candidate is taken
 
 @record
 class Rehearsal:
-    """Set-points (N, ny) in the model's units along a schedule (N,), noise e (N, ny), and what counts as 1 in each output.
+    """Set-points (N, ny) in the model's units along a schedule, noise e (N, ny), and what counts as 1 in each output.
 
+    rho (N,), of several schedule variables (N, ns).
     follows: the output that the schedule is; then of `rho` only the first value counts, where the run begins.
     """
 
     model: LPVModel
     references: np.ndarray = field("N ny")
-    rho: np.ndarray = field("N")
+    rho: np.ndarray = field("N ...")
     e: np.ndarray = field("N ny")
     size: np.ndarray = field("ny")
     follows: int | None = None
@@ -85,9 +86,10 @@ def _check_fits(law: Any, model: LPVModel) -> None:
     if abs(law.dt - model.dt) > SAME_DT * model.dt:
         mend = "design one on this model"
         raise InputError(f"{law.name} is sampled every {law.dt:g} s, the model every {model.dt:g} s", file=model.name, mend=mend)
-    if law.schedule and (model.schedule is None or law.schedule != model.schedule.name):
-        known = model.schedule.name if model.schedule else "no schedule"
-        raise InputError(f"{law.name} is scheduled on {law.schedule}, the model has {known}", file=model.name)
+    own, known = list(schedules_of(law)), [c.name for c in model.schedules]
+    if own and own != known:
+        said = f"{law.name} is scheduled on {', '.join(own)}, the model has {', '.join(known) or 'no schedule'}"
+        raise InputError(said, file=model.name)
 
 
 def _places(law: Any, names: Sequence[str], channels: Sequence[Channel]) -> list[int]:
@@ -112,12 +114,12 @@ def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int,
     whole = rehearsal(model, r, np.zeros(len(r)), samples, seed or 0)
     whole = whole if seed is not None else replace(whole, e=np.zeros_like(whole.e))
     u, y = whole.run(law)
-    schedule = (replace(model.schedule, role="schedule"),) if model.schedule else ()
+    schedule = tuple(replace(c, role="schedule") for c in model.schedules)
     at = _places(law, law.measured[: len(law.references)], model.outputs)
     units = [model.outputs[i].unit for i in at]
     set_points = [Channel(name, unit, "reference") for name, unit in zip(law.references, units, strict=True)]
     channels = (*model.inputs, *model.outputs, *schedule, *set_points)
-    values = np.column_stack([u, y, *([whole.rho] if schedule else []), whole.references[:, at]])
+    values = np.column_stack([u, y, *([whole.rho] if schedule else ()), whole.references[:, at]])
     return Experiment("setpoint", model.dt * np.arange(samples), channels, values, model.dt)
 
 
@@ -132,9 +134,8 @@ def rehearsal(
     for j in range(ny):
         stays = random.integers(low, high, endpoint=True, size=samples // low + 1)
         references[:, j] = np.repeat(centre[j] + size[j] * random.uniform(-1.0, 1.0, len(stays)), stays)[:samples]
-    rho = np.linspace(model.span[0], model.span[1], samples) if model.schedule else np.zeros(samples)
     e = random.normal(size=(samples, ny)) @ _root(np.zeros((ny, ny)) if model.noise is None else model.noise).T
-    return Rehearsal(model, references, rho, e, np.asarray(size, dtype=float))
+    return Rehearsal(model, references, model.path(samples), e, np.asarray(size, dtype=float))
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

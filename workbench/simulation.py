@@ -13,7 +13,7 @@ import numpy as np
 from workbench.data import SAME_DT, Channel, Experiment, bad_stamps
 from workbench.errors import InputError, check_known
 from workbench.physics import stepper
-from workbench.physics.controller import Controller, Loop, Playback, Stepped
+from workbench.physics.controller import Controller, Loop, Playback, Stepped, schedules_of
 from workbench.physics.parameters import EffectSizes
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -242,7 +242,7 @@ def _lanes(
 
 
 def _check_scenario(plant: Plant, controller: Loop, scenario: Scenario, N: int) -> None:
-    for name in (*controller.measured, *([controller.schedule] if controller.schedule else [])):
+    for name in (*controller.measured, *schedules_of(controller)):
         if name in plant.input_names and name not in plant.output_names:
             raise InputError(
                 f"the law measures {name!r}, which is an input of {plant.name}",

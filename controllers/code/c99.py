@@ -6,9 +6,19 @@ from string import Template
 import numpy as np
 
 from controllers.code.constants import Table, table_sizes, tables
-from controllers.code.text import NO_LIMIT_FLOAT, basis_meaning, double_text, head_lines, plain_comment, power_text, with_comment
+from controllers.code.text import (
+    BASIS_NAMES,
+    NO_LIMIT_FLOAT,
+    basis_meaning,
+    double_text,
+    head_lines,
+    numbered,
+    plain_comment,
+    power_text,
+    with_comment,
+)
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.basis import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
 from workbench.errors import InputError
 
 Number = Callable[[float], str]
@@ -31,7 +41,7 @@ extern "C" {
 typedef $real ${name}_real;
 
 enum { ${NAME}_NU = $nu, ${NAME}_NY = $ny }; /* commands; measurements and set-points */
-
+$several
 /* What set a command: the law itself, or one of its limits. */
 enum { ${NAME}_FREE, ${NAME}_AT_LOW, ${NAME}_AT_HIGH, ${NAME}_AT_RATE };
 
@@ -149,7 +159,8 @@ static void weights(real rho, real phi[TERMS])
 {
 $body
 }
-
+""")
+C_AT = """
 static real at(const real K[TERMS], const real phi[TERMS])
 {
     real sum = 0;
@@ -157,11 +168,27 @@ static real at(const real K[TERMS], const real phi[TERMS])
         sum += K[k] * phi[k];
     return sum;
 }
-""")
+"""
+C_PRODUCTS = Template("""
+/* Weights of the coefficients: $meaning. */
+static void weights(const real rho[NS], real phi[TERMS])
+{
+$factors
+    for (int k = 0; k < TERMS; ++k)
+        phi[k] = $product;
+}
+$at""")
 C_SCHEDULE = """\
     real phi[TERMS];
     weights(clipped(rho, SPAN[0], SPAN[1]), phi);
     s->outside = !(rho >= SPAN[0] && rho <= SPAN[1]);
+"""
+C_SCHEDULES = """\
+    real phi[TERMS];
+    weights(rho, phi);
+    s->outside = false;
+    for (int n = 0; n < NS; ++n)
+        s->outside = s->outside || !(rho[n] >= SPAN[n][0] && rho[n] <= SPAN[n][1]);
 """
 C_LINEAR = """\
     int k = 0;
@@ -201,18 +228,24 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
     number, f = (_float, "f") if single else (double_text, "")
     if single:
         _check_float(law)
-    scheduled, sizes = law.schedule is not None, table_sizes(law)
+    scheduled, several, sizes = law.schedule is not None, law.span.ndim > 1, table_sizes(law)
     gain = (lambda K: f"at({K}, phi)") if scheduled else (lambda K: K)
-    weights = C_WEIGHTS.substitute(meaning=basis_meaning(law), body=_c_weights(law, f)) if scheduled else ""
+    NAME, rho, isfinite = name.upper(), "real rho, ", "isfinite(rho)"
+    if several:
+        rho, isfinite = "const real rho[NS], ", " && ".join(f"isfinite(rho[{n}])" for n in range(sizes["NS"]))
     words = {
-        "name": name, "NAME": name.upper(), "real": "float" if single else "double", "nu": sizes["NU"], "ny": sizes["NY"],
+        "name": name, "NAME": NAME, "real": "float" if single else "double", "nu": sizes["NU"], "ny": sizes["NY"],
+        "several": f"enum {{ {NAME}_NS = {sizes['NS']} }}; /* schedule variables */\n" if several else "",
         "head": "\n".join(f" * {plain_comment(line)}".rstrip() for line in head_lines(law)),
-        "sizes": "".join(f", {key} = {n}" for key, n in sizes.items() if key not in ("NU", "NY")),
+        "sizes": "".join(
+            f", {key} = {f'{NAME}_NS' if key == 'NS' else n}" for key, n in sizes.items() if key not in ("NU", "NY")
+        ),
         "no_limit": number(np.inf), "tables": "\n".join(_c_table(table, number) for table in tables(law)),
-        "weights": weights, "schedule": C_SCHEDULE * scheduled,
-        "rho": f"{name}_real rho, " * scheduled, "rho_real": "real rho, " * scheduled, "and_rho": " and schedule rho" * scheduled,
+        "weights": _c_scheduling(law, f) if scheduled else "", "schedule": (C_SCHEDULES if several else C_SCHEDULE) * scheduled,
+        "rho": rho.replace("NS", f"{NAME}_NS").replace("real", f"{name}_real") * scheduled, "rho_real": rho * scheduled,
+        "and_rho": " and schedule rho" * scheduled,
         "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
-        "finite": "isfinite(rho)" if scheduled else "true",
+        "finite": isfinite if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
         "Kr": gain("KR[i][j]"),
         "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
@@ -220,14 +253,30 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
     return C_HEADER.substitute(words), C_SOURCE.substitute(words)
 
 
-def _c_weights(law: ScheduledPID, f: str) -> str:
+def _c_scheduling(law: ScheduledPID, f: str) -> str:
+    """The functions that make the weights and apply them."""
+    basis = law.basis
+    if not isinstance(basis, Products):
+        return C_WEIGHTS.substitute(meaning=basis_meaning(basis), body=_c_weights(basis, f)) + C_AT
+    texts, calls, own = [], [], ("weights", *BASIS_NAMES)
+    for i, factor in enumerate(basis.factors, 1):
+        text = C_WEIGHTS.substitute(meaning=basis_meaning(factor), body=_c_weights(factor, f))
+        texts.append(numbered(text.replace("Weights of the coefficients", f"Functions of variable {i}"), own, i))
+        inside = f"clipped(rho[{i - 1}], SPAN[{i - 1}][0], SPAN[{i - 1}][1])"
+        calls += [f"    real phi_{i}[TERMS_{i}];", f"    weights_{i}({inside}, phi_{i});"]
+    product = " * ".join(f"phi_{i}[CHOSEN[k][{i - 1}]]" for i in range(1, len(texts) + 1))
+    whole = C_PRODUCTS.substitute(meaning=basis_meaning(basis), factors="\n".join(calls), product=product, at=C_AT)
+    return "".join([*texts, whole])
+
+
+def _c_weights(basis: Basis, f: str) -> str:
     """Statements that fill phi at a rho within the span; f: ending of the library's functions."""
-    match law.basis:
+    match basis:
         case PiecewiseLinear(knots=knots) if len(knots) > 1:
             return C_LINEAR
         case Gaussian(centres=centres) if len(centres):
-            text = Template(C_SHARES if law.basis.normalised else C_BELLS).substitute(exp=f"exp{f}")
-            return text + "\n    phi[BELLS] = 1;" * law.basis.with_constant
+            text = Template(C_SHARES if basis.normalised else C_BELLS).substitute(exp=f"exp{f}")
+            return text + "\n    phi[BELLS] = 1;" * basis.with_constant
         case Powers(exponents=exponents):
             terms = [power_text(e, "1", lambda e: f"pow{f}(x, {e}{f.upper()})") for e in exponents]
             x = "    const real x = rho / SCALE;" + " (void)x;" * (not exponents.any())
@@ -237,7 +286,8 @@ def _c_weights(law: ScheduledPID, f: str) -> str:
 
 def _c_table(table: Table, number: Number) -> str:
     """static const real KP[NU][NY] = {...}; with its comments."""
-    start = f"static const real {table.name}{''.join(f'[{size}]' for size in table.sizes)} ="
+    kind, number = ("int", lambda value: str(int(value))) if table.whole else ("real", number)
+    start = f"static const {kind} {table.name}{''.join(f'[{size}]' for size in table.sizes)} ="
     comment = f"/* {plain_comment(table.comment)} */"
     if not table.sizes:
         return with_comment(f"{start} {number(float(table.values))};", comment)
@@ -264,5 +314,5 @@ def _check_float(law: ScheduledPID) -> None:
         limits = table.name in ("LOW", "HIGH", "RATE")
         if not limits and np.abs(table.values).max() > NO_LIMIT_FLOAT:
             raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
-        if table.name in ("SPAN", "KNOTS") and np.any(np.diff(np.float32(table.values)) <= 0.0):
+        if table.name.startswith(("SPAN", "KNOTS")) and np.any(np.diff(np.float32(table.values)) <= 0.0):
             raise InputError(f"{table.name} holds values that are one in single precision", file=law.name, mend=mend)

@@ -6,26 +6,30 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.basis import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
+from workbench.physics.controller import schedules_of
 
 
 class Table(NamedTuple):
-    """A constant of the law: its dimensions as they are called in the text, its numbers, and a comment for each of its rows."""
+    """A constant of the law: its dimensions as they are called in the text, its numbers, and a comment for each of its rows.
+
+    whole: its numbers are indices, counted from 0.
+    """
 
     name: str
     sizes: tuple[str, ...]
     values: np.ndarray
     comment: str
     rows: tuple[str, ...] = ()
+    whole: bool = False
 
 
 def tables(law: ScheduledPID) -> list[Table]:
     """Every number of the law with its meaning and unit; a scheduled gain has a row of coefficients for each pair of channels."""
     outputs, inputs, decay = channels(law, law.measured), channels(law, law.actuated), law.Tf / (law.Tf + law.dt)
-    span = f"{channel(law, law.schedule)}; outside, the gains hold their edge value" if law.schedule else ""
     return [
         Table("PERIOD", (), np.array(law.dt), "sample time, s"),
-        *([Table("SPAN", ("2",), law.span, span), *_basis_tables(law)] if law.schedule else []),
+        *([_span(law), *_scheduling(law)] if law.schedule else []),
         _gains(law, "Kp", "proportional gains", ""),
         _gains(law, "Ki", "integral gains", "/s"),
         _gains(law, "Kd", "derivative gains", " s"),
@@ -46,6 +50,13 @@ def tables(law: ScheduledPID) -> list[Table]:
     ]
 
 
+def _span(law: ScheduledPID) -> Table:
+    own, held = tuple(channel(law, name) for name in schedules_of(law)), "outside, the gains hold their edge value"
+    if law.span.ndim == 1:
+        return Table("SPAN", ("2",), law.span, f"{own[0]}; {held}")
+    return Table("SPAN", ("NS", "2"), law.span, f"of the schedule variables; {held}", own)
+
+
 def _gains(law: ScheduledPID, key: str, comment: str, time: str) -> Table:
     K, own = getattr(law, key), lambda a, m: f"{m} {law.gain_unit(a, m, time)}".rstrip()
     if law.schedule is None:
@@ -62,9 +73,22 @@ def _u0(law: ScheduledPID) -> Table:
     return Table("U0", ("NU", "TERMS"), law.u0.T, comment, rows)
 
 
-def _basis_tables(law: ScheduledPID) -> list[Table]:
-    at = channel(law, law.schedule or "")
-    match law.basis:
+def _scheduling(law: ScheduledPID) -> list[Table]:
+    """The numbers of the basis; of several variables those of each, their names numbered, and which of them are multiplied."""
+    variables = [channel(law, name) for name in schedules_of(law)]
+    if not isinstance(law.basis, Products):
+        return _basis_tables(law.basis, variables[0])
+    found = []
+    for i, (factor, at) in enumerate(zip(law.basis.factors, variables, strict=True), 1):
+        for own in _basis_tables(factor, at):
+            sizes = tuple(f"{size}_{i}" for size in own.sizes)
+            found.append(own._replace(name=f"{own.name}_{i}", sizes=sizes))
+    said = "the functions of each variable that make a weight"
+    return [*found, Table("CHOSEN", ("TERMS", "NS"), law.basis.chosen, said, law.basis.names, whole=True)]
+
+
+def _basis_tables(basis: Basis, at: str) -> list[Table]:
+    match basis:
         case PiecewiseLinear(knots=knots) if len(knots) > 1:
             return [Table("KNOTS", ("TERMS",), knots, f"{at}; the gains are linear between")]
         case Gaussian(centres=centres, beta=beta) if len(centres):
@@ -77,8 +101,17 @@ def _basis_tables(law: ScheduledPID) -> list[Table]:
 def table_sizes(law: ScheduledPID) -> dict[str, int]:
     """Sizes by the names that they have in the texts."""
     m, nu, ny = law.Kp.shape
-    bells = {"BELLS": len(law.basis.centres)} if isinstance(law.basis, Gaussian) else {}
-    return {"NU": nu, "NY": ny} | ({"TERMS": m} | bells if law.schedule else {})
+    if not law.schedule:
+        return {"NU": nu, "NY": ny}
+    if not isinstance(law.basis, Products):
+        return {"NU": nu, "NY": ny} | _basis_sizes(law.basis)
+    each = [{f"{key}_{i}": n for key, n in _basis_sizes(own).items()} for i, own in enumerate(law.basis.factors, 1)]
+    return {"NU": nu, "NY": ny, "NS": len(each), "TERMS": m} | {key: n for own in each for key, n in own.items()}
+
+
+def _basis_sizes(basis: Basis) -> dict[str, int]:
+    bells = {"BELLS": len(basis.centres)} if isinstance(basis, Gaussian) else {}
+    return {"TERMS": len(basis.names)} | bells
 
 
 def channel(law: ScheduledPID, name: str) -> str:

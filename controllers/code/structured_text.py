@@ -2,11 +2,23 @@
 
 import re
 from string import Template
+from typing import NamedTuple
 
-from controllers.code.constants import Table, channel, channels, table_sizes, tables
-from controllers.code.text import NO_LIMIT, basis_meaning, double_text, head_lines, plain_comment, power_text, with_comment
+from controllers.code.constants import Table, channels, table_sizes, tables
+from controllers.code.text import (
+    BASIS_NAMES,
+    NO_LIMIT,
+    basis_meaning,
+    double_text,
+    head_lines,
+    numbered,
+    plain_comment,
+    power_text,
+    with_comment,
+)
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.basis import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
+from workbench.physics.controller import schedules_of
 
 ST_BLOCK = Template("""\
 (*
@@ -130,8 +142,7 @@ takes_over := FALSE;
 END_FUNCTION_BLOCK
 """)
 ST_LOCALS = """\
-    rho : LREAL; (* schedule within SPAN *)
-    (* weights of the coefficients: $meaning *)
+$rho    (* weights of the coefficients: $meaning *)
     phi : ARRAY[1..$terms] OF LREAL;
     gain_p : LREAL;
     gain_i : LREAL;
@@ -139,15 +150,19 @@ ST_LOCALS = """\
     gain_r : LREAL;
     k : INT;
 """
-ST_SCHEDULE = """
-outside := NOT (schedule >= SPAN[1] AND schedule <= SPAN[2]);
-rho := schedule;
-IF rho < SPAN[1] THEN
-    rho := SPAN[1];
-ELSIF rho > SPAN[2] THEN
-    rho := SPAN[2];
+ST_SCHEDULE = Template("""\
+$rho := $schedule;
+IF $rho < $low THEN
+    $rho := $low;
+ELSIF $rho > $high THEN
+    $rho := $high;
 END_IF;
-"""
+""")
+ST_PRODUCTS = Template("""\
+FOR k := 1 TO TERMS DO
+    phi[k] := $product;
+END_FOR;
+""")
 ST_LINEAR = """\
 k := 1;
 WHILE k < TERMS - 1 AND rho >= KNOTS[k + 1] DO
@@ -219,17 +234,21 @@ ST_CLAMPING = """\
 def st_code(law: ScheduledPID, name: str) -> str:
     """A FUNCTION_BLOCK of that name, all numbers LREAL."""
     scheduled, sizes = law.schedule is not None, table_sizes(law)
+    inputs = _st_schedules(law) if scheduled else []
+    kind = f"ARRAY[1..{len(inputs)}] OF LREAL" if len(inputs) > 1 else "LREAL"
+    weights = _st_scheduling(law) if scheduled else ""
+    counted = re.findall(r"\w+", weights + ST_GAINS * scheduled)  # a constant that nobody reads is refused by some compilers
     names = {"outputs": law.measured, "references": law.references, "inputs": law.actuated}
     words = {
         "name": name, "head": "\n".join(plain_comment(line) for line in head_lines(law)),
         **{key: plain_comment(channels(law, own)) for key, own in names.items()}, "nu_y": sizes["NY"], "nu_u": sizes["NU"],
-        "sizes": "\n".join(f"    {key} : INT := {n};" for key, n in sizes.items()),
+        "sizes": "\n".join(f"    {key} : INT := {n};" for key, n in sizes.items() if key in ("NU", "NY") or key in counted),
         "tables": "\n".join(_st_table(table, sizes) for table in tables(law)),
-        "schedule_in": f"    schedule : LREAL; (* rho: {plain_comment(channel(law, law.schedule or ''))} *)\n" * scheduled,
+        "schedule_in": f"    schedule : {kind}; (* rho: {plain_comment(channels(law, schedules_of(law)))} *)\n" * scheduled,
         "schedule_out": "    outside : BOOL; (* the schedule is outside the span of the gains, or no number *)\n" * scheduled,
         "locals": _st_locals(law, sizes) if scheduled else "",
-        "weights": ST_SCHEDULE + _st_weights(law) if scheduled else "",
-        "finite": "schedule - schedule = 0.0" if scheduled else "TRUE",
+        "weights": weights,
+        "finite": " AND ".join(f"({own.schedule} - {own.schedule} = 0.0)" for own in inputs) or "TRUE",
         "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": ST_GAINS * scheduled,
         **{key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr")},
         "integral": ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING,
@@ -237,14 +256,47 @@ def st_code(law: ScheduledPID, name: str) -> str:
     return ST_BLOCK.substitute(words)
 
 
-def _st_weights(law: ScheduledPID) -> str:
+class _Input(NamedTuple):
+    """A schedule variable: where it is read, its ends, the name of its value within them, and its functions of that."""
+
+    schedule: str
+    low: str
+    high: str
+    rho: str
+    basis: Basis
+
+
+def _st_schedules(law: ScheduledPID) -> list[_Input]:
+    if not isinstance(law.basis, Products):
+        return [_Input("schedule", "SPAN[1]", "SPAN[2]", "rho", law.basis)]
+    return [
+        _Input(f"schedule[{i}]", f"SPAN[{i}, 1]", f"SPAN[{i}, 2]", f"rho_{i}", factor)
+        for i, factor in enumerate(law.basis.factors, 1)
+    ]
+
+
+def _st_scheduling(law: ScheduledPID) -> str:
+    """Statements that find out whether the schedule is outside, and fill phi."""
+    own = _st_schedules(law)
+    inside = " AND ".join(f"{v.schedule} >= {v.low} AND {v.schedule} <= {v.high}" for v in own)
+    clipped = "".join(ST_SCHEDULE.substitute(v._asdict()) for v in own)
+    if len(own) == 1:
+        weights = _st_weights(own[0].basis)
+    else:
+        each = [numbered(_st_weights(v.basis), ("rho", "phi", *BASIS_NAMES), i) for i, v in enumerate(own, 1)]
+        product = " * ".join(f"phi_{i}[CHOSEN[k, {i}]]" for i in range(1, len(own) + 1))
+        weights = "".join([*each, ST_PRODUCTS.substitute(product=product)])
+    return f"\noutside := NOT ({inside});\n{clipped}{weights}"
+
+
+def _st_weights(basis: Basis) -> str:
     """Statements that fill phi at a rho within the span."""
-    match law.basis:
+    match basis:
         case PiecewiseLinear(knots=knots) if len(knots) > 1:
             return ST_LINEAR
         case Gaussian(centres=centres) if len(centres):
-            text = Template(ST_SHARES if law.basis.normalised else ST_BELLS).substitute(no_limit=_lreal(NO_LIMIT))
-            return text + "phi[BELLS + 1] := 1.0;\n" * law.basis.with_constant
+            text = Template(ST_SHARES if basis.normalised else ST_BELLS).substitute(no_limit=_lreal(NO_LIMIT))
+            return text + "phi[BELLS + 1] := 1.0;\n" * basis.with_constant
         case Powers(exponents=exponents):
             terms = [power_text(e, "1.0", lambda e: f"EXPT(x, {_lreal(e)})") for e in exponents]
             return "".join(["x := rho / SCALE;\n", *(f"phi[{k}] := {term};\n" for k, term in enumerate(terms, 1))])
@@ -253,8 +305,14 @@ def _st_weights(law: ScheduledPID) -> str:
 
 def _st_locals(law: ScheduledPID, sizes: dict[str, int]) -> str:
     """Variables that only a scheduled law has."""
-    own = [name for name in ("share", "top", "total", "x") if re.search(rf"\b{name} :=", _st_weights(law))]
-    text = Template(ST_LOCALS).substitute(terms=sizes["TERMS"], meaning=basis_meaning(law))
+    own = [name for name in ("share", "top", "total", "x") if re.search(rf"\b{name} :=", _st_scheduling(law))]
+    inputs = _st_schedules(law)
+    rho = "".join(f"    {v.rho} : LREAL; (* {v.schedule} within SPAN *)\n" for v in inputs)
+    if len(inputs) > 1:
+        for i, v in enumerate(inputs, 1):
+            meaning = numbered(basis_meaning(v.basis), ("rho", *BASIS_NAMES), i)
+            rho += f"    (* functions of {v.rho}: {meaning} *)\n    phi_{i} : ARRAY[1..{sizes[f'TERMS_{i}']}] OF LREAL;\n"
+    text = Template(ST_LOCALS).substitute(terms=sizes["TERMS"], meaning=basis_meaning(law.basis), rho=rho)
     return text + "".join(f"    {name} : LREAL;\n" for name in own)
 
 
@@ -263,8 +321,9 @@ def _st_table(table: Table, sizes: dict[str, int]) -> str:
     comment = f"(* {plain_comment(table.comment)} *)"
     if not table.sizes:
         return with_comment(f"    {table.name} : LREAL := {_lreal(float(table.values))};", comment)
-    kind = f"ARRAY[{', '.join(f'1..{sizes.get(size, size)}' for size in table.sizes)}] OF LREAL"
-    rows = [", ".join(map(_lreal, row)) for row in table.values.reshape(-1, table.values.shape[-1])]
+    of, number = ("INT", lambda value: str(int(value) + 1)) if table.whole else ("LREAL", _lreal)
+    kind = f"ARRAY[{', '.join(f'1..{sizes.get(size, size)}' for size in table.sizes)}] OF {of}"
+    rows = [", ".join(map(number, row)) for row in table.values.reshape(-1, table.values.shape[-1])]
     if not table.rows:
         return with_comment(f"    {table.name} : {kind} := [{rows[0]}];", comment)
     commas = [","] * (len(rows) - 1) + [""]

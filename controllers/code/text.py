@@ -8,22 +8,26 @@ struct or function block. A text depends on the law and the program's version al
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from controllers.code.constants import channel, channels
+from controllers.code.constants import channels
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
-from workbench.basis import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
+from workbench.physics.controller import schedules_of
 from workbench.provenance import program
 
 NO_LIMIT, NO_LIMIT_FLOAT = 1e300, 1e38  # a limit that is not there, as a number
+BASIS_NAMES = ("TERMS", "BELLS", "KNOTS", "CENTRES", "BETA", "SCALE")  # that each of several schedule variables has
 WIDTH = 130  # characters of a line; a comment beside a longer one stands above it
 LARGEST_POWER = 8  # whole powers up to here are products: exact signs, and no library
 
 
-def basis_meaning(law: ScheduledPID) -> str:
-    match law.basis:
+def basis_meaning(basis: Basis) -> str:
+    match basis:
+        case Products():
+            return "products of a function of each schedule variable, which CHOSEN says"
         case PiecewiseLinear():
             return "1 at their own knot, 0 at every other, linear between, constant outside"
         case Gaussian(normalised=normalised, with_constant=constant):
@@ -31,6 +35,11 @@ def basis_meaning(law: ScheduledPID) -> str:
             return f"exp(-BETA (rho - CENTRES)^2){shares}{one}"
         case Powers(exponents=exponents):
             return f"(rho / SCALE) to the power of {', '.join(f'{e:g}' for e in exponents)}"
+
+
+def numbered(text: str, names: Sequence[str], i: int) -> str:
+    """The text with the number of a schedule variable behind each of these names."""
+    return re.sub(rf"\b({'|'.join(names)})\b", rf"\1_{i}", text)
 
 
 def plain_comment(text: str) -> str:
@@ -69,7 +78,7 @@ def head_lines(law: ScheduledPID) -> list[str]:
         f"commands u:     {channels(law, law.actuated)}",
         f"set-points r:   {channels(law, law.references)}",
         f"measurements y: {channels(law, law.measured)}",
-        *([f"schedule rho:   {channel(law, law.schedule)}"] if law.schedule else []),
+        *([f"schedule rho:   {channels(law, schedules_of(law))}"] if scheduled else []),
         f"One step every {law.dt:g} s.",
         "",
         "Where a set-point, a measurement or the schedule is not a finite number, the last command is held and the sample is",

@@ -16,7 +16,7 @@ from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.lpv import MUCH
-from workbench.physics.controller import Loop
+from workbench.physics.controller import Loop, schedules_of
 from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import check_units, read_file, write_csv
@@ -158,10 +158,12 @@ def _written(setup: Setup, ran: Ran, folder: Path, source: Path | None = None) -
 def _followed(law: Any, done: Any) -> dict[str, Any]:
     """How the law of the user's own did in a run: tracking, time at limits, and what its solver said."""
     found: dict[str, Any] = {"tracking": _loop_scores(law, done.experiment), "at_limit": _at_limits(law, done.experiment)}
-    schedule = law.schedule
-    known = schedule and hasattr(law, "outside")
-    if known and (beyond := law.outside(done.experiment[schedule])) > MUCH:
-        say(f"  {schedule} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
+    schedules = schedules_of(law)
+    if schedules and hasattr(law, "outside"):
+        rho = done.experiment[list(schedules)] if len(schedules) > 1 else done.experiment[next(iter(schedules))]
+        if (beyond := law.outside(rho)) > MUCH:
+            own = ", ".join(schedules)
+            say(f"  {own} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")
     if done.memories and hasattr(done.memories[0], "status"):
         found["statuses"] = _statuses(done.memories)
     return found

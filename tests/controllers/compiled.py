@@ -46,7 +46,7 @@ class CompiledLaw:
 
     def step(self, r, y, rho=None):
         """(u, limit, outside, valid)"""
-        schedule = [self.real(rho)] if self.scheduled else []
+        schedule = [self._array(rho) if np.ndim(rho) else self.real(rho)] if self.scheduled else []
         self._step(ctypes.byref(self.state), self._array(r), self._array(y), *schedule, self._u)
         outside = self.state.outside if self.scheduled else False
         return np.array(self._u, dtype=float), list(self.state.limit), outside, self.state.valid

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy.interpolate import interpn
 
 from controllers.code.c99 import c_code
 from controllers.code.names import identifier
@@ -21,7 +22,7 @@ from studies.experiments import plan
 from tests.controllers.compiled import CompiledLaw
 from tests.controllers.structured_text import FunctionBlock, STError
 from tests.controllers.test_mpc import lpv
-from workbench.basis import Gaussian, PiecewiseLinear, Powers
+from workbench.basis import Gaussian, PiecewiseLinear, Powers, Products
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -30,6 +31,7 @@ from workbench.simulation import simulate
 UNITS = {"V1": "V", "V2": "V", "w3": "rad/s", "theta": "deg", "r2": "m"}
 FREE, AT_LOW, AT_HIGH, AT_RATE = range(4)
 KNOTS = PiecewiseLinear((0.011, 0.0125, 0.0264))
+TWO = {"schedule": ("r2", "load"), "span": ((0.011, 0.0264), (-1.0, 1.7))}
 
 
 def drawn(seed, nu, ny, basis=None, m=1, span=(0.011, 0.0264), **options) -> ScheduledPID:
@@ -59,6 +61,26 @@ LAWS = {
     "fixed 2x3, clamping, no filter": drawn(10, 2, 3, anti_windup=Clamping(), Tf=0.0),
     "fixed 1x1": drawn(11, 1, 1),
     "limits on one command only": drawn(12, 2, 2, low=(-np.inf, -3.0), high=(3.0, np.inf), rate=(np.inf, 10.0)),
+    "grid of two": drawn(14, 2, 3, Products((KNOTS, PiecewiseLinear((-1.0, 2.0)))), 6, **TWO),
+    "grid of three": drawn(
+        15,
+        1,
+        2,
+        Products((KNOTS, PiecewiseLinear((-1.0, 0.5, 2.0)), PiecewiseLinear((3.0,)))),
+        9,
+        Tf=0.0,
+        schedule=("r2", "load", "speed"),
+        span=((0.011, 0.0264), (-1.0, 1.5), (2.0, 4.0)),
+    ),
+    "some products, clamping": drawn(
+        16,
+        2,
+        2,
+        Products((Powers((0.0, 1.0, 2.0), 0.018), Gaussian((-0.5, 1.0), (0.7, 1.9), True, True)), [[2, 0], [0, 2], [1, 1]]),
+        3,
+        anti_windup=Clamping(),
+        **TWO,
+    ),
     "no limits": drawn(13, 2, 3, low=(-np.inf,) * 2, high=(np.inf,) * 2, rate=(np.inf,) * 2),
 }
 
@@ -71,7 +93,16 @@ def signals(law, seed, n=400):
     random, ny = np.random.default_rng(seed), law.Kp.shape[2]
     slow = lambda size, width: width * np.cumsum(random.normal(size=(n, size)), axis=0) / 8.0  # noqa: E731
     r, y = slow(ny, 1.0) + 0.2 * random.normal(size=(n, ny)), slow(ny, 1.0) + 0.2 * random.normal(size=(n, ny))
-    return r, y, 0.018 + 0.012 * np.sin(0.05 * np.arange(n)) + 0.002 * random.normal(size=n)
+    rho = 0.018 + 0.012 * np.sin(0.05 * np.arange(n)) + 0.002 * random.normal(size=n)
+    if law.span.ndim == 1:
+        return r, y, rho
+    others = [
+        np.mean(own)
+        + 0.8 * np.ptp(own) * np.sin((0.05 + 0.013 * i) * np.arange(n) + i)
+        + 0.1 * np.ptp(own) * random.normal(size=n)
+        for i, own in enumerate(law.span[1:], 1)
+    ]
+    return r, y, np.column_stack([rho, *others])
 
 
 def events(law, seed):
@@ -81,7 +112,7 @@ def events(law, seed):
     starts = {0: None, 120: held[0], 121: held[0], 240: held[1], 320: held[2], 360: None}
     y[230, -1] = y[240, 0] = np.nan  # the second where it takes over: it does so at the next sample
     r[250, 0] = np.inf
-    rho[310] = np.nan
+    rho.reshape(len(rho), -1)[310, -1] = np.nan
     y[360, 0] = -np.inf  # and where it starts cold
     return r, y, rho, starts
 
@@ -143,7 +174,7 @@ def assert_same(law, rho, expected, got, tolerance):
     np.testing.assert_allclose(v, u, rtol=0.0, atol=tolerance)
     np.testing.assert_array_equal(valid, seen)
     np.testing.assert_array_equal(reported, limits)
-    inside = (rho >= law.span[0]) & (rho <= law.span[1])
+    inside = np.reshape((rho >= law.span[..., 0]) & (rho <= law.span[..., 1]), (len(rho), -1)).all(axis=1)
     np.testing.assert_array_equal(outside, ~inside if law.schedule else np.zeros(len(rho), dtype=bool))
 
 
@@ -196,10 +227,21 @@ MISTAKES = {
 }  # fmt: skip
 
 
+OF_SEVERAL = {
+    "variables exchanged": ("clipped(rho[0], SPAN[0][0]", "clipped(rho[1], SPAN[0][0]"),
+    "the other span": ("SPAN[1][0], SPAN[1][1]), phi_2", "SPAN[0][0], SPAN[0][1]), phi_2"),
+    "the other knots": ("rho - KNOTS_2[k]", "rho - KNOTS_1[k]"), "not multiplied": (" * phi_2[CHOSEN[k][1]]", ""),
+    "chosen the other way": ("phi_1[CHOSEN[k][0]] * phi_2[CHOSEN[k][1]]", "phi_1[CHOSEN[k][1]] * phi_2[CHOSEN[k][0] % 2]"),
+    "a lost schedule is used": ("isfinite(rho[0]) && isfinite(rho[1])", "isfinite(rho[0])"),
+}  # fmt: skip
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", [*MISTAKES, *(f"{key} of several" for key in OF_SEVERAL)])
 def test_a_mistake_would_be_seen(tmp_path, mistake):
-    law, (right, wrong) = drawn(1, 2, 3, KNOTS, 3, span=(0.0118, 0.025)), MISTAKES[mistake]
+    law, (right, wrong) = drawn(1, 2, 3, KNOTS, 3, span=(0.0118, 0.025)), MISTAKES.get(mistake, ("", ""))
+    if mistake not in MISTAKES:
+        law, (right, wrong) = LAWS["grid of two"], OF_SEVERAL[mistake.removesuffix(" of several")]
 
     def change(text):
         assert right in text
@@ -353,20 +395,30 @@ def test_the_gain_tables_are_the_law_up_to_what_they_state(tmp_path, key):
     law = LAWS[key]
     content = json.loads(write_json(tmp_path / "gains.json", gain_table(law)).read_text())
     lines = [line.split(",") for line in gain_csv(law).splitlines()]
-    at, numbers = np.array([row["rho"] for row in content["rows"]]), np.array(lines[1:], dtype=float)
-    assert (content["schedule"], lines[0][0]) == ({"name": "r2", "unit": "m"}, "r2 [m]")
-    found = dict.fromkeys(("Kp", "Ki", "Kd", "Kr", "u0"), 0.0)
-    for rho in np.random.default_rng(1).uniform(0.0, 0.04, 300):
-        exact, column = law.gains_at(rho), 1
+    ns = law.span.size // 2
+    at = np.reshape([row["rho"] for row in content["rows"]], (-1, ns))
+    numbers = np.array(lines[1:], dtype=float)
+    first = content["schedule"][0] if ns > 1 else content["schedule"]
+    assert (first, lines[0][0]) == ({"name": "r2", "unit": "m"}, "r2 [m]")
+    np.testing.assert_array_equal(numbers[:, :ns], at)
+    axes = [np.unique(own) for own in at.T]  # the rows are their lattice, the last variable fastest
+    np.testing.assert_array_equal(at, np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, ns))
+    found, span = dict.fromkeys(("Kp", "Ki", "Kd", "Kr", "u0"), 0.0), law.span.reshape(-1, 2)
+    drawn_at = np.random.default_rng(1).uniform(
+        span[:, 0] - 0.6 * np.ptp(span, axis=1), span[:, 1] + np.ptp(span, axis=1), (300, ns)
+    )
+    for rho in drawn_at:
+        exact, column = law.gains_at(rho if ns > 1 else rho[0]), ns
         for name, value in zip(found, exact, strict=True):
             rows = np.array([row[name] for row in content["rows"]])
-            read = np.array([np.interp(rho, at, rows.reshape(len(at), -1)[:, i]) for i in range(value.size)])
+            lattice = rows.reshape(*map(len, axes), value.size)
+            read = interpn(axes, lattice, np.clip(rho, [own[0] for own in axes], [own[-1] for own in axes]))[0]
             np.testing.assert_allclose(numbers[:, column : column + value.size], rows.reshape(len(at), -1), rtol=0, atol=0)
             found[name] = max(found[name], np.abs(read - value.ravel()).max())
             column += value.size
     for name, stated in content["largest_difference"].items():
         assert found[name] <= 1.02 * stated + 1e-12
-        if isinstance(law.basis, PiecewiseLinear) or key == "constant":
+        if isinstance(law.basis, PiecewiseLinear) or key == "constant" or key.startswith("grid"):
             assert stated < 1e-12
 
 

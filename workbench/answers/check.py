@@ -32,7 +32,7 @@ from workbench.robustness.falsify.box import fitted_box, fitted_box_of
 from workbench.robustness.limits import LoopLimits, limits_of, load_limits
 from workbench.robustness.linear_law import check_law, without_linear_form
 from workbench.robustness.verdict import Status, Verdict, overall
-from workbench.verification.model import NODES, claimed, on_model, opened
+from workbench.verification.model import claimed, on_model, opened
 from workbench.verification.part import FROZEN, Part
 from workbench.verification.plant import check_asked, on_plant
 from workbench.verification.trial import Trial, along
@@ -47,7 +47,7 @@ Fitted = Mapping[str, Any] | Answer | str | Path
 def check(
     controller: Any, limits: Limits, *, model: LPVModel | None = None, records: Dataset | None = None,
     plant: Plant | None = None, fitted: Sequence[Fitted] = (), lags: int = 1, bound: Sequence[float] | None = None,
-    nodes: int = NODES, rate: float | None = None, runs: int | None = None, seed: int = 0,
+    nodes: int | None = None, rate: float | None = None, runs: int | None = None, seed: int = 0,
     progress: Progress = silent,
 ) -> "CheckResult":  # fmt: skip
     """Verdicts on a controller's loop: on an identified `model` with the `records` that bound its errors, on a `plant`, or both.
@@ -55,8 +55,9 @@ def check(
     limits: what the loop must keep: a limits.toml, or what it holds, {"run": {"duration": 20.0, ..}, "limits": {"theta": {..}}}.
     fitted: answers of diagnose and calibrate, or their JSON files, whose intervals bound the plant beside its tolerances. lags:
     samples of outputs and inputs that the model's errors may depend on; bound (ny): the largest error of each output beyond that,
-    default what the model is off. nodes: schedule values at which stability is proved; rate [1/s]: prove it for a schedule that
-    moves by up to that, too. runs: of the plant for each limit. Raises InputError for what does not fit together.
+    default what the model is off. nodes: schedule values at which stability is proved, of several schedule variables of each
+    (default 5 and 3); rate [1/s]: prove it for a schedule that moves by up to that, too. runs: of the plant for each limit.
+    Raises InputError for what does not fit together.
 
         >>> check(law, limits, plant=MOTOR, runs=20).status.value
         'UNDECIDED'

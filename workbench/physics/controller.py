@@ -29,8 +29,8 @@ class Loop(Protocol):
         ...
 
     @property
-    def schedule(self) -> str | None:
-        """Name of the measured output that is rho, if the law is scheduled."""
+    def schedule(self) -> str | tuple[str, ...] | None:
+        """Name of the measured output that is rho, if the law is scheduled; of several rho has an entry each."""
         ...
 
     @property
@@ -65,7 +65,7 @@ class Controller(Loop, Protocol):
 class Stepped(Loop, Protocol):
     """(memory, r, y, rho) -> (u, memory) every dt seconds: a law that is computed step by step in Python, as an optimisation is.
 
-    Its memory is whatever it needs; u (nu,), r, y (ny,), rho a number or None without a schedule.
+    Its memory is whatever it needs; u (nu,), r, y (ny,), rho a number, (ns,) of several, or None without a schedule.
 
     >>> u, memory = mpc.step(mpc.init(), np.array([20.0]), np.array([0.0]), 5.0)  # r, y, rho
     >>> u.round(1)
@@ -76,12 +76,23 @@ class Stepped(Loop, Protocol):
         """The memory before the first sample; u: the inputs it takes over from."""
         ...
 
-    def step(self, state: Any, r: np.ndarray, y: np.ndarray, rho: float | None) -> tuple[np.ndarray, Any]:
+    def step(self, state: Any, r: np.ndarray, y: np.ndarray, rho: Any) -> tuple[np.ndarray, Any]:
         """One sample: commands (nu,), never NaN, and the next memory."""
         ...
 
 
-def stepped(controller: Any, state: Any, r: np.ndarray, y: np.ndarray, rho: float | None) -> tuple[np.ndarray, Any]:
+def schedules_of(controller: Loop) -> tuple[str, ...]:
+    """Names of the schedule variables of a law, none without a schedule."""
+    own = controller.schedule
+    return () if own is None else (own,) if isinstance(own, str) else tuple(own)
+
+
+def rho_of(controller: Loop, values: Any) -> Any:
+    """rho as a law takes it, from the value of each of its schedule variables: None without one, the value itself of one."""
+    return None if controller.schedule is None else values[0] if isinstance(controller.schedule, str) else values
+
+
+def stepped(controller: Any, state: Any, r: np.ndarray, y: np.ndarray, rho: Any) -> tuple[np.ndarray, Any]:
     """One sample of a law of either kind: commands (nu,) and the next memory."""
     if hasattr(controller, "step"):
         return controller.step(state, r, y, rho)
@@ -128,6 +139,7 @@ def check_controller(controller: Any, file: object) -> None:
             raise InputError(f"{name} = {value!r}", file=file, mend=f"expected a tuple of names: {name} = ('v',)")
         if len({*value}) < len(value):
             raise InputError(f"{name} = {value!r}", file=file, mend="name each channel once")
+    _check_schedule(controller.schedule, file)
     if not controller.actuated or len(controller.references) > len(controller.measured):
         said = (
             f"{len(controller.references)} set-points, {len(controller.measured)} measured, {len(controller.actuated)} actuated"
@@ -141,9 +153,17 @@ def check_controller(controller: Any, file: object) -> None:
         _check_memory(controller, file)
 
 
+def _check_schedule(schedule: Any, file: object) -> None:
+    names = schedule if isinstance(schedule, tuple | list) else [] if schedule is None else [schedule]
+    if not all(isinstance(own, str) for own in names) or len({*names}) < len(names) or schedule in ((), []):
+        mend = "expected None, a name: schedule = 'v', or several: schedule = ('v', 'load')"
+        raise InputError(f"schedule = {schedule!r}", file=file, mend=mend)
+
+
 def _check_memory(controller: Any, file: object) -> None:
     """Refuse a law that keeps something from run to run: after `init` the same samples must give the same commands."""
-    nr, ny, rho = len(controller.references), len(controller.measured), 1.0 if controller.schedule else None
+    nr, ny = len(controller.references), len(controller.measured)
+    rho = rho_of(controller, np.ones(len(schedules_of(controller))))
 
     def run() -> np.ndarray:
         state, said = controller.init(), []
@@ -169,7 +189,8 @@ def _check_same(controller: Any, file: object) -> None:
     nr, ny, random = len(controller.references), len(controller.measured), np.random.default_rng(0)
     asked = controller.init()
     for _ in range(SAMPLES):
-        r, y, rho = random.normal(size=nr), random.normal(size=ny), random.normal() if controller.schedule else None
+        r, y = random.normal(size=nr), random.normal(size=ny)
+        rho = rho_of(controller, random.normal(size=len(schedules_of(controller))))
         try:
             with np.errstate(all="ignore"):
                 u, after = (np.asarray(own, dtype=float) for own in controller.law(controller.gains, asked, r, y, rho))
@@ -203,13 +224,13 @@ def _check_law(controller: Controller, file: object) -> None:
         state = [np.full(3, value) for value in cold.ravel()]
         r, y = ([some * (1.0 + 0.1 * i) for i in range(len(names))] for names in (controller.references, controller.measured))
         with np.errstate(all="ignore"):
-            u, after = controller.law(gains, state, r, y, some if controller.schedule else None)
+            u, after = controller.law(gains, state, r, y, rho_of(controller, [some] * len(schedules_of(controller))))
         for value in (*u, *after):
             np.broadcast_to(np.asarray(value, dtype=float), 3)
         with symbolic_numpy():  # what is compiled is the law of symbols
             names = (gains, cold, controller.references, controller.measured)
-            g, z, r, y = ([ca.SX.sym("argument") for _ in own] for own in names)
-            said = controller.law(g, z, r, y, ca.SX.sym("rho") if controller.schedule else None)
+            g, z, r, y, rho = ([ca.SX.sym("argument") for _ in own] for own in (*names, schedules_of(controller)))
+            said = controller.law(g, z, r, y, rho_of(controller, rho))
             for value in (*said[0], *said[1]):
                 ca.SX(value)
     except Exception as reason:

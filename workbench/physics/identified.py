@@ -45,22 +45,22 @@ def identified(model: LPVModel) -> Plant:
     Raises InputError for a schedule that is an output too.
     """
     check_schedule_from_outside(model, "a plant of a model")
-    schedule = model.schedule
-    if schedule and schedule.name in [c.name for c in model.outputs]:
-        raise InputError(
-            f"{schedule.name} is schedule and output of this model",
-            file=model.name,
-            mend="identify it with the schedule as an input from outside: leave it out of --output",
-        )
+    for schedule in model.schedules:
+        if schedule.name in [c.name for c in model.outputs]:
+            raise InputError(
+                f"{schedule.name} is schedule and output of this model",
+                file=model.name,
+                mend="identify it with the schedule as an input from outside: leave it out of --output",
+            )
     inputs = tuple(replace(c, role="input") for c in model.inputs)
-    if schedule and schedule.name not in [c.name for c in inputs]:
-        inputs = (*inputs, replace(schedule, role="schedule"))
+    known = [c.name for c in inputs]
+    inputs = (*inputs, *(replace(c, role="schedule") for c in model.schedules if c.name not in known))
     equation = _Equation(model)
     return Plant(
         name=model.name,
         states=(
             *(Channel(name, "") for name in (*equation.states, *equation.noise)),
-            *(Channel(name, schedule.unit if schedule else "") for name in equation.past),
+            *(Channel(name, unit) for name, unit in equation.past.items()),
             *(Channel(name, SPEED) for name in equation.speeds.values()),
         ),
         inputs=inputs,
@@ -70,7 +70,7 @@ def identified(model: LPVModel) -> Plant:
         measure=equation.outputs,
         dt=model.dt,
         ports=tuple(Turning(place, speed) for place, speed in equation.speeds.items()),
-        start=Start(fixed=_at_rest(model, equation.past, inputs)),
+        start=Start(fixed=_at_rest(model, equation.earlier)),
         noise={} if model.noise is None else _spread(model),
         substeps=1,
         description=f"{model.name}, order {model.order}, identified from records",
@@ -79,12 +79,13 @@ def identified(model: LPVModel) -> Plant:
     )
 
 
-def _at_rest(model: LPVModel, past: Sequence[str], inputs: Sequence[Channel]) -> dict[str, float]:
+def _at_rest(model: LPVModel, earlier: Sequence[Sequence[str]]) -> dict[str, float]:
     """The operating point in the middle of the schedule, where the model stands still: what was before the first sample."""
-    middle = float(np.mean(model.span))
-    u0 = model.operating_point.basis(np.array(middle)) @ model.operating_point.u
-    at = dict.fromkeys((c.name for c in inputs), middle) | dict(zip((c.name for c in model.inputs), u0.tolist(), strict=True))
-    return dict.fromkeys(past, middle) | at
+    middle = np.atleast_1d(model.middle).tolist() if model.schedules else []
+    u0 = model.operating_point.basis(model.middle) @ model.operating_point.u
+    now = dict(zip((c.name for c in model.schedules), middle, strict=True))
+    past = {name: value for names in earlier for name, value in zip(names, middle, strict=True)}
+    return past | now | dict(zip((c.name for c in model.inputs), u0.tolist(), strict=True))
 
 
 def _spread(model: LPVModel) -> dict[str, float]:
@@ -99,17 +100,17 @@ class _Equation:
     def __init__(self, model: LPVModel):
         self.model = model
         self.states = [f"state {i + 1}" for i in range(model.order)]
-        self.noise, self.past = [], []
+        self.noise = []
         self.K = self.L = None
         if model.predictor is not None and model.noise is not None:
             self.noise = [f"innovation of {c.name}" for c in model.outputs]
             largest = float(np.trace(model.noise)) or 1.0
             self.L = np.linalg.cholesky(model.noise + ROUNDING * largest * np.eye(len(self.noise)))
             self.K = model.predictor.K @ self.L
-        if model.schedule is not None:
-            steps = max(term.delay for term in model.terms)
-            self.past = [f"{model.schedule.name} {k + 1} before" for k in range(steps)]
-
+        steps = max(term.delay for term in model.terms) if model.schedules else 0
+        # the schedule as it was one sample before, two, ..: a name for each variable
+        self.earlier = [[f"{c.name} {k + 1} before" for c in model.schedules] for k in range(steps)]
+        self.past = {name: c.unit for names in self.earlier for name, c in zip(names, model.schedules, strict=True)}
         self.speeds = {c.name: f"speed of {c.name}" for c in (*model.inputs, *model.outputs) if c.unit == SPEED}
 
     def difference(self, x: Named, u: Named, p: Named, at: Named) -> dict:
@@ -123,7 +124,7 @@ class _Equation:
             after = _sum(after, _product(self.K, weights, e))
         after += [0.0] * len(e)
         if self.past:
-            after += [self._schedule(u), *_of(x, self.past[:-1])]
+            after += [*self._now(u), *(value for names in self.earlier[:-1] for value in _of(x, names))]
         shown = vars(u) | self.outputs(x, p, u)
         after += [shown[place] for place in self.speeds]
         names = (*self.states, *self.noise, *self.past, *self.speeds.values())
@@ -136,26 +137,32 @@ class _Equation:
         y = _sum(_product(model.C, weights, _of(x, self.states)), _product(model.D, weights, self._deviations(u)))
         if self.L is not None:
             y = _sum(y, _product(self.L[None], [1.0], _of(x, self.noise)))
-        y = _sum(y, _product(point.y[:, :, None], point.basis.functions(self._schedule(u)), [1.0]))
+        y = _sum(y, _product(point.y[:, :, None], point.basis.functions(self._rho(self._now(u))), [1.0]))
         return dict(zip((c.name for c in model.outputs), y, strict=True))
 
-    def _schedule(self, u: Named):
-        """rho, within what the model knows."""
-        if self.model.schedule is None:
-            return 0.0
-        low, high = (float(v) for v in self.model.span)
-        return np.minimum(np.maximum(getattr(u, self.model.schedule.name), low), high)
+    def _now(self, u: Named) -> list:
+        """The schedule variables, within what the model knows."""
+        model = self.model
+        ends = model.spans + model.reach * np.diff(model.spans) * [-1.0, 1.0]
+        return [
+            np.minimum(np.maximum(getattr(u, c.name), low), high)
+            for c, (low, high) in zip(model.schedules, ends.tolist(), strict=True)
+        ]
+
+    def _rho(self, values: list):
+        """The variables as a basis takes them."""
+        return values if len(values) > 1 else values[0] if values else 0.0
 
     def _weights(self, x: Named, u: Named) -> list:
         """phi_j(rho(k - d_j)) of every term."""
-        basis, line = self.model.basis, [self._schedule(u), *_of(x, self.past)]
-        at = {d: basis.functions(line[d]) for d in {term.delay for term in self.model.terms}}
+        basis, line = self.model.basis, [self._now(u), *(_of(x, names) for names in self.earlier)]
+        at = {d: basis.functions(self._rho(line[d])) for d in {term.delay for term in self.model.terms}}
         return [at[term.delay][term.function] for term in self.model.terms]
 
     def _deviations(self, u: Named) -> list:
         """u - u0(rho)."""
         point = self.model.operating_point
-        zero = _product(point.u[:, :, None], point.basis.functions(self._schedule(u)), [1.0])
+        zero = _product(point.u[:, :, None], point.basis.functions(self._rho(self._now(u))), [1.0])
         return [a - b for a, b in zip(_of(u, [c.name for c in self.model.inputs]), zero, strict=True)]
 
 

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.physics.controller import Controller, Playback, Stepped
+from workbench.physics.controller import Controller, Playback, Stepped, rho_of, schedules_of
 from workbench.physics.effects.effect import FOREVER
 from workbench.physics.kernel import SCALAR, SIMD, Code, Rows, Switched, kernel_source, load_kernel, print_function
 from workbench.physics.plant import Plant, shares
@@ -161,8 +161,8 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         # before the first sample nobody knows how an input moved
         rate = [(new - old) / plant.dt * (s["t"] > 0.0) for new, old in zip(swung, entries(last), strict=True)]
         at = [entries(y)[plant.output_names.index(name)] for name in controller.measured]
-        rho = entries(y)[plant.output_names.index(controller.schedule)] if controller.schedule else None
-        command, state = controller.law(entries(g), entries(c), entries(r), at, rho)
+        rho = [entries(y)[plant.output_names.index(name)] for name in schedules_of(controller)]
+        command, state = controller.law(entries(g), entries(c), entries(r), at, rho_of(controller, rho))
     inputs = dict(zip(plant.input_names, u, strict=True)) | dict(zip(controller.actuated, command, strict=True))
     seen = [full, s["u"], s["p"]] if plant.discrete else [full, s["p"]]
     return {
@@ -331,12 +331,12 @@ def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int,
     block = _Block(plant, kernel, rows, driven, np.zeros(1, dtype=int), substeps, 1)
     read = _functions(plant, played)["read"]
     at = [plant.output_names.index(name) for name in controller.measured]
-    rho = plant.output_names.index(controller.schedule) if controller.schedule else None
+    scheduled = [plant.output_names.index(name) for name in schedules_of(controller)]
     memories = []
     for k in range(N):
         if k % every == 0:
             y = np.array(read(block.memory, block.noise[k], block.eta)).ravel()
-            u, memory = controller.step(memory, lanes.reference[0, k], y[at], None if rho is None else y[rho])
+            u, memory = controller.step(memory, lanes.reference[0, k], y[at], rho_of(controller, y[scheduled]))
             if np.shape(u) != (len(controller.actuated),) or not np.isfinite(u).all():
                 said = f"controller {controller.name!r} commands {u!r} at {k * plant.dt:g} s"
                 raise InputError(said, mend=f"expected {len(controller.actuated)} finite numbers, in an array")

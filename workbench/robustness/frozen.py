@@ -49,10 +49,11 @@ class Margins:
     1 / sigma_min(P(0)); loops (n, nu): |S_ii| with one loop broken at the plant input and the others closed; radius: largest
     modulus of a closed-loop pole; bandwidth [rad/s]: where |S| first reaches 1 / sqrt(2); frequencies (n, 3) [rad/s]: where |S|,
     |T| and |Q| peak, within `frequencies`; delay (n, nu) [s]: how much later one command may act before its loop is lost, the
-    others closed. A loop that is lost has bandwidth and delay 0, and no peaks worth the name.
+    others closed. A loop that is lost has bandwidth and delay 0, and no peaks worth the name. rho (n), of several schedule
+    variables (n, ns).
     """
 
-    rho: np.ndarray = field("n")
+    rho: np.ndarray = field("n ...")
     sensitivity: np.ndarray = field("n")
     complementary: np.ndarray = field("n")
     effort: np.ndarray = field("n")
@@ -71,7 +72,7 @@ class Margins:
 def margins_of(
     law: LinearLaw,
     model: LPVModel,
-    rhos: Sequence[float | None],
+    rhos: Sequence[Any],
     bounds: Bounds = DEFAULT,
     scale: np.ndarray | None = None,
 ) -> Margins:
@@ -100,7 +101,7 @@ def margins_of(
     return Margins(**{key: np.array([row[key] for row in rows]) for key in rows[0]})
 
 
-def closed_loop(law: LinearLaw, model: LPVModel, rho: float | None, scale: np.ndarray | float = 1.0) -> Closed:
+def closed_loop(law: LinearLaw, model: LPVModel, rho: Any, scale: np.ndarray | float = 1.0) -> Closed:
     """The frozen loop of a law: its commands and measurements in its own order, measurements in units of `scale` (ny)."""
     check_law(model, law)
     A, B, C, D = model.freeze(rho)
@@ -112,14 +113,14 @@ def closed_loop(law: LinearLaw, model: LPVModel, rho: float | None, scale: np.nd
     return Closed.of(plant, replace(answer, B=answer.B * size, D=answer.D * size))
 
 
-def feedback_of(law: LinearLaw, rho: float | None) -> System:
+def feedback_of(law: LinearLaw, rho: Any) -> System:
     """What a frozen law makes of -y."""
     own: Any = law.at(rho)
     reads = slice(len(law.references), None)
     return System(own.A, -own.B[:, reads], own.C, -own.D[:, reads], law.dt)
 
 
-def loops_of(law: LinearLaw, model: LPVModel, rho: float | None, omega: np.ndarray) -> np.ndarray:
+def loops_of(law: LinearLaw, model: LPVModel, rho: Any, omega: np.ndarray) -> np.ndarray:
     """L_i(exp(j omega dt)), (N, nu): loop i opened at the plant input, the others closed; L_i = 1 / S_ii - 1."""
     loop = closed_loop(law, model, rho)
     return np.stack([1.0 / loop.alone(i).at(omega)[:, 0, 0] - 1.0 for i in range(loop.nu)], axis=1)
@@ -128,7 +129,7 @@ def loops_of(law: LinearLaw, model: LPVModel, rho: float | None, omega: np.ndarr
 def worst_margins(
     law: LinearLaw,
     models: Sequence[LPVModel],
-    rhos: Sequence[float | None],
+    rhos: Sequence[Any],
     bounds: Bounds = DEFAULT,
     scale: np.ndarray | None = None,
 ) -> Margins:

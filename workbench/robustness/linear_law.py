@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from workbench.errors import InputError
-from workbench.lpv import LPVModel, check_schedule_from_outside
-from workbench.physics.controller import Controller, Loop, stepped
+from workbench.lpv import LPVModel, check_schedule_from_outside, lattice
+from workbench.physics.controller import Controller, Loop, schedules_of, stepped
 
 COMPARED, SAME_ANSWER = 12, 1e-6  # samples at which law and linear form are compared; of an answer, how far they may differ
 SHARES = (0.95, 0.7, 0.4, 0.02, 1e-4)  # of the room that a law has: answers that are compared; smaller ones drown in rounding
@@ -20,11 +20,11 @@ FEW = 3  # schedule values at which they are compared at least
 class LinearLaw(Loop, Protocol):
     """A sampled law that is linear where the schedule stands still."""
 
-    def at(self, rho: float | None) -> Any:
+    def at(self, rho: Any) -> Any:
         """python-control system from (r, y) to u less its offset; its state keeps its meaning while the schedule moves."""
         ...
 
-    def offset(self, rho: float | None) -> np.ndarray:
+    def offset(self, rho: Any) -> np.ndarray:
         """What `at` leaves out of the command, (nu,)."""
         ...
 
@@ -39,7 +39,7 @@ class LinearLaw(Loop, Protocol):
     def rate(self) -> np.ndarray: ...
     @property
     def span(self) -> np.ndarray:
-        """Between which the schedule changes the law, (2,); infinite without one."""
+        """Between which the schedule changes the law, (2,), (ns, 2) of several variables; infinite without one."""
         ...
 
 
@@ -54,13 +54,13 @@ def check_law(model: LPVModel, law: LinearLaw) -> None:
         if foreign := [name for name in names if name not in known]:
             problem = f"{law.name} has the {kind}s {', '.join(names)}, the model {', '.join(known)}"
             raise InputError(problem, file=model.name, mend=f"identify a model that has {', '.join(foreign)}")
-    own = model.schedule.name if model.schedule else None
-    if law.schedule and law.schedule != own:
-        problem = f"{law.name} is scheduled on {law.schedule}, the model on {own or 'nothing'}"
+    known, own = [c.name for c in model.schedules], list(schedules_of(law))
+    if own and own != known:
+        problem = f"{law.name} is scheduled on {', '.join(own)}, the model on {', '.join(known) or 'nothing'}"
         raise InputError(problem, file=model.name, mend="design a law on this model, or check it on the model it was designed on")
 
 
-def without_linear_form(law: Any, values: Sequence[float] = ()) -> str:
+def without_linear_form(law: Any, values: Sequence[Any] = ()) -> str:
     """Why nothing can be proved of a law on a linear model, in words; "" where its linear form is what it commands.
 
     `at` is not believed: at the ends and the middle of its span and at the schedule `values`, law and linear form are given the
@@ -70,14 +70,16 @@ def without_linear_form(law: Any, values: Sequence[float] = ()) -> str:
     if not all(hasattr(law, name) for name in LINEAR):
         how = "is an equation of its own" if isinstance(law, Controller) else "is computed step by step"
         return f"{law.name} {how}: no linear law to prove anything of; it is checked on the plant alone"
-    low, high = law.span
-    for rho in np.union1d(np.linspace(low, high, FEW), values).tolist() if law.schedule else [None]:
+    names = schedules_of(law)
+    own = lattice(np.reshape(law.span, (-1, 2)), FEW) if names else np.empty(0)
+    for rho in np.unique(np.concatenate([own, np.reshape(values, (-1, *own.shape[1:]))]), axis=0) if names else [None]:
         try:
             off = _apart(_unlimited(law), rho)
         except Exception as reason:
             off = f"{type(reason).__name__}: {reason}"
         if off:
-            where = "" if rho is None else f" at {law.schedule} = {rho:.4g}"
+            told = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, np.ravel([] if rho is None else rho), strict=True))
+            where = f" at {told}" * bool(names)
             return f"the linear form of {law.name}{where} is not its law: {off}; nothing is proved of it"
     return ""
 
@@ -91,7 +93,7 @@ def _unlimited(law: Any) -> Any:
     return replace(record, low=-none, high=none, rate=none)
 
 
-def _apart(law: Any, rho: float | None) -> str:
+def _apart(law: Any, rho: Any) -> str:
     """How law and linear form differ where the schedule stands still; "" where they do not.
 
     Two runs of the law with the same first sample differ by what the linear form makes of the difference of their samples, as

@@ -6,6 +6,7 @@ it (`uncertain`), `course` follows set-points, biases and operating points along
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = N
     return driven(machine_of(models, law, rho), law, rho).undriven()
 
 
-def driven(machine: Machine, law: LinearLaw, rho: float | None = None) -> DrivenLoop:
+def driven(machine: Machine, law: LinearLaw, rho: Any = None) -> DrivenLoop:
     """The machine under the law at one schedule value. Raises InputError for a law of another sample time."""
     if abs(law.dt - machine.dt) > SAME_DT * machine.dt:
         mend = "design one on this model"
@@ -155,17 +156,17 @@ def course_of(
     model: LPVModel, errors: Sequence[IntervalModel], law: LinearLaw, rho: np.ndarray, references: np.ndarray,
     *, noise: bool, rates: Sequence[str] = (), initial: np.ndarray | None = None,
 ) -> Course:  # fmt: skip
-    """The loop of a law and a model whose errors are bounded, along a schedule (N) and set-points (N nr).
+    """The loop of a law and a model whose errors are bounded, along a schedule (N), or (N ns), and set-points (N nr).
 
     noise: with the errors that no parameter explains. rates: commands whose change per second is watched too. initial (nr, 2):
     set-points under which the loop rests before the run, low and high; None: the first ones.
     """
     check_law(model, law)
-    still = np.ptp(rho) == 0.0
+    still = not np.ptp(rho, axis=0).any()
     values = rho[:1] if still else rho
     loops = []
     for machine, value in zip(machines_along(model, errors, values), values, strict=True):
-        loop = driven(machine, law, float(value) if law.schedule else None)
+        loop = driven(machine, law, value if law.schedule else None)
         loops.append(with_rates(loop if noise else loop.quiet(), rates))
     return course(loops, references, initial)
 

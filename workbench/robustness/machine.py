@@ -8,6 +8,7 @@ be superfluous; `UncertainLoop.balanced` makes the numbers fit for a solver all 
 """
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from workbench.intervals.domains.choice import nearest
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Simulation
 from workbench.intervals.semantics import ParameterBox
-from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
+from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside, ends
+from workbench.physics.controller import schedules_of
 from workbench.records import field, record
 from workbench.robustness.frequency import System
 from workbench.robustness.linear_law import LinearLaw
@@ -85,29 +87,29 @@ def machine_of(models: Sequence[IntervalModel], law: LinearLaw, rho: float | Non
     )  # fmt: skip
 
 
-def machine_with_errors(model: LPVModel, errors: Sequence[IntervalModel], rho: float | None = None) -> Machine:
+def machine_with_errors(model: LPVModel, errors: Sequence[IntervalModel], rho: Any = None) -> Machine:
     """The LPV model at a schedule value with the interval models of its one-step errors, one for each output.
 
     Raises InputError where they do not belong together, and for a model whose inputs act at once.
     """
-    weight = model.weights(np.array([_within(model, rho)]))[0]
-    return _with_errors(model, errors, weight, _within(model, rho))
+    inside = _within(model, rho)
+    return _with_errors(model, errors, model.weights(np.array([inside]))[0], inside)
 
 
 def machines_along(model: LPVModel, errors: Sequence[IntervalModel], rho: np.ndarray) -> Iterator[Machine]:
-    """The machine at every sample of a schedule rho (N); where it leaves what the model has seen the edge holds."""
-    inside = np.clip(rho, *model.span)
+    """The machine at every sample of a schedule rho (N), or (N, ns); where it leaves what the model has seen the edge holds."""
+    inside = np.clip(rho, *ends(model.spans))
     for value, weight in zip(inside, model.weights(inside), strict=True):
-        yield _with_errors(model, errors, weight, float(value))
+        yield _with_errors(model, errors, weight, value)
 
 
-def _within(model: LPVModel, rho: float | None) -> float:
+def _within(model: LPVModel, rho: Any) -> Any:
     """The schedule value as the model takes it. Raises InputError outside of what it has seen."""
     model.freeze(rho)
-    return 0.0 if model.schedule is None or rho is None else float(np.clip(rho, *model.span))
+    return 0.0 if not model.schedules or rho is None else np.clip(rho, *ends(model.spans))
 
 
-def _with_errors(model: LPVModel, errors: Sequence[IntervalModel], weight: np.ndarray, rho: float) -> Machine:
+def _with_errors(model: LPVModel, errors: Sequence[IntervalModel], weight: np.ndarray, rho: Any) -> Machine:
     """The same with the weights (nt) of the terms at a sample."""
     check_no_feedthrough(model)
     check_schedule_from_outside(model, "a proof on the model")
@@ -237,7 +239,7 @@ def _in_order(models: Sequence[IntervalModel], law: LinearLaw) -> list[IntervalM
 
 def _check_schedule(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None) -> None:
     """Refuse a schedule value that is missing, or that means one thing to the law and another to a model."""
-    known = {model.schedule.name for model in models if model.schedule} | ({law.schedule} if law.schedule else set())
+    known = {model.schedule.name for model in models if model.schedule} | {*schedules_of(law)}
     if len(known) > 1:
         raise InputError(f"scheduled on {', '.join(sorted(known))}", file=law.name, mend="law and models share one schedule")
     if known and rho is None:

@@ -79,7 +79,7 @@ class Passage:
     model: LPVModel
     errors: tuple[IntervalModel, ...]
     controller: Mapping[str, Any]
-    rho: np.ndarray = field("N")
+    rho: np.ndarray = field("N ...")
     references: np.ndarray = field("N nr")
     initial: np.ndarray = field("nr 2")
     noise: bool

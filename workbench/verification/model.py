@@ -16,7 +16,7 @@ from workbench.errors import InputError
 from workbench.files import as_read
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, ends
 from workbench.physics.controller import content_of, law_of
 from workbench.physics.plant import Plant
 from workbench.progress import Progress, silent
@@ -42,7 +42,7 @@ from workbench.verification.part import FROZEN, Part
 
 TITLE = "On the identified model"
 COMPARED = 41  # schedule values at which a law is compared with its linear form
-NODES = 5  # schedule values at which stability is proved
+NODES, FEWER = 5, 3  # schedule values at which stability is proved, of several variables of each
 GRID = 25  # of the schedule at which |S| is looked at
 MOTION = 1.1  # ratio of bounds at which the search of a certificate in motion ends
 KNOWN = 0.01  # widths of the model's span by which a schedule may leave it
@@ -64,17 +64,19 @@ def opened(method: ErrorRegression, model: LPVModel, records: Dataset) -> Open:
 
 
 def on_model(
-    left: Open, law: Any, limits: LoopLimits, plant: Plant | None = None, *, nodes: int = NODES, rate: float | None = None,
+    left: Open, law: Any, limits: LoopLimits, plant: Plant | None = None, *, nodes: int | None = None, rate: float | None = None,
     progress: Progress = silent,
 ) -> Part:  # fmt: skip
-    """Stability at `nodes` schedule values and, with a rate [1/s], in motion; |S|; disk margin; and limits along the run.
+    """Stability at `nodes` schedule values (NODES, of several variables FEWER of each) and, with a rate [1/s], in motion; |S|;
+    disk margin; and limits along the run.
 
     plant: whose nominal run says what the schedule does; without one it goes once over all that the model knows. Raises
     InputError for limits that ask for what the loop does not have.
     """
-    model, of = left.model, f"model {left.model.name}"
-    compared = [] if model.schedule is None else [np.linspace(model.span[0], model.span[1], n) for n in (nodes, COMPARED)]
-    if said := without_linear_form(law, np.concatenate([[], *compared]).tolist()):
+    model, of, several = left.model, f"model {left.model.name}", len(left.model.schedules) > 1
+    nodes = nodes or (FEWER if several else NODES)
+    compared = [rho for n in (nodes, nodes if several else COMPARED) for rho in model.frozen_values(n) if rho is not None]
+    if said := without_linear_form(law, compared):
         return Part(TITLE, tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)))
     check_law(model, law)
     run = _prepared(left, law, limits, plant) if limits.limits and limits.run is not None else None
@@ -119,8 +121,8 @@ def _stability(
     model, errors = left.model, left.errors
     needed = max(limits.margin or 1.0, 1.0 if limits.stable else 0.0)
     margins = []
-    for rho in [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist():
-        where = f" at {_told(model, rho)}" if rho is not None else ""
+    for rho in model.frozen_values(nodes):
+        where = f" at {model.named(rho)}" if rho is not None else ""
         progress(f"stability{where}")
         claim = f"stable{where}" + FROZEN * bool(where) + f" in boxes {needed:g} times as wide" * (needed != 1.0)
         whole = driven(machine_with_errors(model, errors, rho), law, rho)
@@ -166,9 +168,10 @@ def _in_motion(
     progress: Progress,
 ) -> Verdict:  # fmt: skip
     """Stability while the schedule moves: of the machine that is linear between nodes, and proved where the model is that."""
-    schedule = model.schedule
-    if schedule is None:
-        raise InputError(f"--rate {rate:g}, but the model has no schedule", mend="leave --rate out")
+    if len(model.schedules) != 1:
+        said = "several schedule variables: stability in motion is proved for one" if model.schedules else "no schedule"
+        raise InputError(f"--rate {rate:g}, but the model has {said}", mend="leave --rate out")
+    schedule = model.schedules[0]
     claim = f"stable while {schedule.name} moves by up to {rate:g} {schedule.unit}/s"
     progress(claim)
     of_law, span = (getattr(law, "basis", None), getattr(law, "span", np.empty(0))) if law.schedule else (CONSTANT, np.empty(0))
@@ -206,13 +209,7 @@ def _straight(basis: Any) -> bool:
     return isinstance(basis, PiecewiseLinear) or (isinstance(basis, Powers) and set(basis.exponents) <= {0, 1})
 
 
-def _told(model: LPVModel, rho: float) -> str:
-    """The schedule at a value."""
-    assert model.schedule is not None
-    return f"{model.schedule.name} = {rho:.4g} {model.schedule.unit}".rstrip()
-
-
-def _margin_blocks(model: LPVModel, found: Sequence[tuple[float | None, Margin]], needed: float) -> list[Block]:
+def _margin_blocks(model: LPVModel, found: Sequence[tuple[Any, Margin]], needed: float) -> list[Block]:
     if not found:
         return []
     said = (
@@ -225,6 +222,9 @@ def _margin_blocks(model: LPVModel, found: Sequence[tuple[float | None, Margin]]
         "refuted": [m.falsified.kappa for _, m in found],
         "standing still": [m.frozen.kappa for _, m in found],
     }
+    if len(model.schedules) > 1:
+        rows = zip([model.named(rho) for rho, _ in found], *columns.values(), strict=True)
+        return [Table("Margins", ("at", *columns), tuple(rows), said, digits=3)]
     if model.schedule is None or len(found) < 2:
         return [Table("Margins", ("margin", "boxes"), tuple((name, values[0]) for name, values in columns.items()), said)]
     curves = {name: np.array(values) for name, values in columns.items()} | {"asked": np.array(needed)}
@@ -233,13 +233,13 @@ def _margin_blocks(model: LPVModel, found: Sequence[tuple[float | None, Margin]]
 
 
 def _sensitivity(model: LPVModel, law: LinearLaw, asked: float, of: str) -> Verdict:
-    grid = [None] if model.schedule is None else list(np.linspace(model.span[0], model.span[1], GRID))
+    grid = model.frozen_values(GRID)
     found = worst_margins(law, [model], grid)
     peaks, claim = found.sensitivity, f"peak |S| at most {asked:g}"
     if found.radius.max() >= 1.0:
         return Verdict(claim, of, Status.FAILED, math.nan, "", "the loop of the model itself is not stable: it has no |S|")
     largest, worst = float(peaks.max()), grid[int(peaks.argmax())]
-    where = "" if worst is None else f", at {_told(model, float(worst))}"
+    where = "" if worst is None else f", at {model.named(worst)}"
     status = Status.PASSED if largest <= asked else Status.FAILED
     said = f"the largest |S| of the model itself is {largest:.3g} at {len(grid)} schedule values{where}"
     return Verdict(claim, of, status, asked - largest, "", said)
@@ -249,14 +249,14 @@ def _disk(left: Open, law: LinearLaw, asked: float, nodes: int, of: str) -> Verd
     """The least disk margin at the plant input, of constant parameters that no record refutes."""
     model, least, middle = left.model, (np.inf, None), np.inf
     tried = np.vstack([np.zeros((1, left.possible.shape[1])), left.possible])
-    for rho in [None] if model.schedule is None else np.linspace(model.span[0], model.span[1], nodes).tolist():
+    for rho in model.frozen_values(nodes):
         machine, answer = machine_with_errors(model, left.errors, rho), feedback_of(law, rho)
         for number, delta in enumerate(tried):
             S = Closed.of(machine.at(delta, law.actuated, law.measured), answer).input_sensitivity
             own = disk_margin(S, least[0] if number else np.inf) if S.stable else 0.0
             middle = min(middle, own) if number == 0 else middle
             least = min(least, (own, rho), key=lambda pair: pair[0]) if number else least
-    where = f", at {_told(model, least[1])}" if least[1] is not None else ""
+    where = f", at {model.named(least[1])}" if least[1] is not None else ""
     status = Status.PASSED if least[0] >= asked else Status.FAILED
     tried_of = f"the worst of {len(left.possible)} constant parameters{where}"
     said = f"{least[0]:.3g} for {tried_of}, {middle:.3g} in the middle of the boxes"
@@ -265,14 +265,14 @@ def _disk(left: Open, law: LinearLaw, asked: float, nodes: int, of: str) -> Verd
 
 @record
 class _Run:
-    """Set-points (N nr) and the schedule (N) of a run, the bounds asked of it, and what it is called.
+    """Set-points (N nr) and the schedule of a run, (N) or (N ns), the bounds asked of it, and what it is called.
 
     initial (nr 2): between which the set-points lie before the run.
     """
 
     references: np.ndarray = field("N nr")
     initial: np.ndarray = field("nr 2")
-    rho: np.ndarray = field("N")
+    rho: np.ndarray = field("N ...")
     bounds: tuple[Bound, ...]
     along: str
 
@@ -300,8 +300,9 @@ def _prepared(left: Open, law: LinearLaw, limits: LoopLimits, plant: Plant | Non
         if empty := [b.claim for b in own if not (np.isfinite(b.low) | np.isfinite(b.high)).any()]:
             raise InputError(f"{empty[0]}: asks nothing within the run", file=place, mend="a longer run, or an earlier begin")
         bounds += own
-    schedule = model.schedule
-    along = "" if schedule is None else f", along {schedule.name} from {rho[0]:.4g} to {rho[-1]:.4g} {schedule.unit}"
+    gone = zip(model.schedules, np.reshape(rho, (len(rho), -1)).T, strict=False)
+    ways = [f"{c.name} from {own[0]:.4g} to {own[-1]:.4g} {c.unit}" for c, own in gone]
+    along = f", along {', '.join(ways)}" if ways else ""
     initial = run.rested(law, references[0])
     return _Run(references, initial, rho, tuple(bounds), along)
 
@@ -343,18 +344,17 @@ def _references(run: Manoeuvre, law: Any) -> np.ndarray:
 
 def _schedule(model: LPVModel, law: Any, run: Manoeuvre, plant: Plant | None, N: int) -> np.ndarray:
     """What the schedule does: as on the nominal plant, and without one once over all that the model knows."""
-    if model.schedule is None:
-        return np.zeros(N)
-    if plant is None:
-        return np.linspace(model.span[0], model.span[1], N)
+    if plant is None or not model.schedules:
+        return model.path(N)
     quiet = replace(run, seed=None).scenario(plant, law)
     every = max(1, round(law.dt / plant.dt))
-    rho = simulate(plant, law, quiet, bumpless=True).experiment[model.schedule.name][::every][:N]
-    if model.outside(rho) > KNOWN:
-        problem = f"{model.schedule.name} goes from {rho.min():.4g} to {rho.max():.4g} in this run"
-        known = f"the model knows {model.span[0]:.4g} to {model.span[1]:.4g}"
-        raise InputError(problem, file="[run]", mend=f"a shorter run, or another start: {known}")
-    return np.clip(rho, *model.span)
+    rho = model.measured_schedule(simulate(plant, law, quiet, bumpless=True).experiment)[::every][:N]
+    for c, own, (low, high) in zip(model.schedules, np.reshape(rho, (len(rho), -1)).T, model.spans, strict=True):
+        if max(low - own.min(), own.max() - high) > KNOWN * (high - low):
+            problem = f"{c.name} goes from {own.min():.4g} to {own.max():.4g} in this run"
+            known = f"the model knows {low:.4g} to {high:.4g}"
+            raise InputError(problem, file="[run]", mend=f"a shorter run, or another start: {known}")
+    return np.clip(rho, *ends(model.spans))
 
 
 def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bound]:

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from workbench.lpv import LPVModel
+from workbench.lpv import LPVModel, ends
+from workbench.physics.controller import schedules_of
 from workbench.physics.plant import Plant
 from workbench.records import record
 from workbench.rehearsal import Rehearsal
@@ -45,8 +46,7 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
         why = "its outputs see the command of their own sample, which held commands cannot do"
         mend = "identify --no-feedthrough, or give --plant"
         return Trial(f"the model {model.name}", why, f"not tried on the model {model.name}: {why} ({mend})")
-    follows = followed(model)
-    low, high = model.span[0], model.span[1]
+    follows, (low, high) = followed(model), ends(model.spans)
     first = low + EDGE * (high - low) if follows is not None else low
     phi = model.operating_point.basis(np.array(first))
     rest = np.array(phi @ model.operating_point.y if setpoint is None else setpoint, dtype=float)
@@ -55,16 +55,16 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
         rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
     references, settling = _path(rest, step, _settling(law, model)), _settling(law, model)
     N = len(references)
-    if model.schedule is not None and follows is None and N < ALONG:
+    if model.schedules and follows is None and N < ALONG:
         references, N = np.repeat(references, -(-ALONG // N), axis=0), N * -(-ALONG // N)
-    rho = np.full(N, first) if follows is not None or model.schedule is None else np.linspace(low, high, N)
+    rho = model.path(N) if follows is None else np.full(N, first)
     run = Rehearsal(model, references, rho, np.zeros_like(references), np.ones(len(rest)), follows)
     with np.errstate(over="ignore", invalid="ignore"):
         _, y = run.run(law)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
-    how = "" if model.schedule is None else f", {model.schedule.name} {_moves(model, follows)}"
-    where = f"the model {model.name}{how}"
+    moving = ", ".join(c.name for c in model.schedules)
+    where = f"the model {model.name}" + f", {moving} {_moves(model, follows)}" * bool(moving)
     size = np.maximum(np.abs(references - references[0]).max(axis=0), 1e-300)
     away = np.abs(y - references) / size
     if (gone := ~(np.isfinite(away) & (away < FAR))[:, own].all(axis=1)).any():
@@ -79,13 +79,14 @@ def on_plant(law: Any, plant: Plant, model: LPVModel) -> Trial:
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     begun = simulate(plant, law, _scenario(law, np.zeros((2, len(own)))), bumpless=True, cut=True).experiment
     rest = np.array([begun[name][0] for name in law.measured[: len(law.references)]])
-    step = _steps(law, model, model.operating_point.basis(np.array(model.span.mean())) @ model.operating_point.y)[own]
-    if law.schedule in law.measured[: len(law.references)]:
-        j, (low, high) = law.measured.index(law.schedule), law.span
-        ends = low + EDGE * (high - low), high - EDGE * (high - low)
-        step[j] = max(ends, key=lambda end: abs(end - rest[j])) - rest[j]
+    step = _steps(law, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
+    scheduled = dict(zip(schedules_of(law), np.reshape(law.span, (-1, 2)), strict=False))
+    known = [name for name in scheduled if name in law.measured[: len(law.references)]]
+    for name in known:
+        j, (low, high) = law.measured.index(name), scheduled[name]
+        inner = low + EDGE * (high - low), high - EDGE * (high - low)
+        step[j] = max(inner, key=lambda end: abs(end - rest[j])) - rest[j]
     settling, every = _settling(law, model), max(1, round(law.dt / plant.dt))
-    known = law.schedule in law.measured[: len(law.references)]
     for share in (1.0,) if known else SHARES:
         path = np.repeat(_path(rest, share * step, settling), every, axis=0)
         if not (trial := along(law, plant, path, settling * every)).lost:
@@ -112,7 +113,7 @@ def along(law: Any, plant: Plant, references: np.ndarray, settling: int, start: 
 
 def followed(model: LPVModel) -> int | None:
     """Which output the schedule is: by its name, or because it is that in every operating point; None where it is none."""
-    if model.schedule is None:
+    if len(model.schedules) != 1 or model.schedule is None:
         return None
     names = [c.name for c in model.outputs]
     if model.schedule.name in names:
@@ -124,7 +125,9 @@ def followed(model: LPVModel) -> int | None:
 
 
 def _moves(model: LPVModel, follows: int | None) -> str:
-    return "going once along its span" if follows is None else f"following {model.outputs[follows].name}"
+    if follows is not None:
+        return f"following {model.outputs[follows].name}"
+    return "going once along its span" if len(model.schedules) == 1 else "going through their box"
 
 
 def _scenario(law: Any, references: np.ndarray, start: dict[str, float] | None = None) -> Scenario:
@@ -141,10 +144,10 @@ def _path(rest: np.ndarray, step: np.ndarray, hold: int) -> np.ndarray:
 
 def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
     """For each output a step that the limits of commands leave room for in the middle; without limits what unit inputs move."""
-    middle = float(model.span.mean()) if model.schedule else None
+    middle = model.middle if model.schedules else None
     A, B, C, D = model.freeze(middle)
     gain = C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
-    phi, point = model.operating_point.basis(np.array(middle or 0.0)), model.operating_point
+    phi, point = model.operating_point.basis(model.middle), model.operating_point
     need = np.linalg.pinv(gain)
     u = phi @ point.u + need @ (rest - phi @ point.y)
     acts = [[c.name for c in model.inputs].index(name) for name in law.actuated]
@@ -160,7 +163,7 @@ def _settling(law: Any, model: LPVModel) -> int:
     planned = not hasattr(law, "at")
     linear, slowest = getattr(law, "fallback", law), 0.0
     if not without_linear_form(linear):
-        for rho in np.linspace(model.span[0], model.span[1], POINTS) if model.schedule else [None]:
+        for rho in model.frozen_values(POINTS):
             slowest = max(slowest, float(np.abs(closed_loop(linear, model, rho).system.poles).max()))
     samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
     return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST))
