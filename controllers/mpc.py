@@ -140,6 +140,11 @@ class MPC(Receding):
         names = tuple(c.name for c in self.model.schedules)
         return names if len(names) > 1 else names[0] if names else None
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the channels by name."""
+        return {c.name: c.unit for c in (*self.model.inputs, *self.model.outputs, *self.model.schedules)}
+
     def outside(self, rho: np.ndarray) -> float:
         """How far a schedule leaves what the model knows, in widths of that; 0 inside."""
         return self.model.outside(rho)

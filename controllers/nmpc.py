@@ -134,6 +134,11 @@ class NMPC(Receding):
         return tuple(f"{name}_set" for name in self.controlled)
 
     @property
+    def units(self) -> dict[str, str]:
+        """Units of the channels by name."""
+        return {c.name: c.unit for c in (*self.plant.inputs, *self.plant.outputs)}
+
+    @property
     def schedule(self) -> str | None:
         """None: nothing is scheduled, the state says it all."""
         return None

@@ -21,9 +21,10 @@ from workbench.intervals.regressors import ARX
 from workbench.intervals.semantics import InclusionExact
 from workbench.metrics import Horizon, Score, Split, score
 from workbench.physics.parameters import EffectSizes
-from workbench.readers import check_units, write_csv
+from workbench.readers import write_csv
 from workbench.records import field, record
 from workbench.sources import read
+from workbench.units import check_units
 
 Say = Callable[[str], None]
 INPUT, OUTPUT = "u", "v"

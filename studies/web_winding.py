@@ -22,7 +22,7 @@ from workbench.errors import InputError
 from workbench.files import read_json, read_text, write_json, write_text
 from workbench.metrics import tracking
 from workbench.provenance import provenance
-from workbench.readers import check_units, read_file
+from workbench.readers import read_file
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.archive import read_report
@@ -30,6 +30,7 @@ from workbench.report.blocks import Block, Provenance, Report, Section, Table, T
 from workbench.report.page import write_report
 from workbench.robustness.limits import load_limits
 from workbench.sources import read
+from workbench.units import check_units
 
 Say = Callable[[str], None]
 

@@ -32,13 +32,14 @@ from workbench.identification.subspace import PBSID
 from workbench.lpv import LPVModel
 from workbench.metrics import Score, fit, horizon_name, score
 from workbench.provenance import provenance
-from workbench.readers import check_units, write_csv
+from workbench.readers import write_csv
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
 from workbench.simulation import replay
 from workbench.sources import read
+from workbench.units import check_units
 
 Say = Callable[[str], None]
 

@@ -21,6 +21,7 @@ from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.quasi_lpv import linearised, predicted, simulated
 from workbench.records import field, record
+from workbench.units import check_units
 
 if TYPE_CHECKING:
     import control
@@ -367,6 +368,7 @@ class LPVModel:
                 file=experiment.name,
                 mend="resample the record",
             )
+        check_units(experiment, {c.name: c.unit for c in (*self.inputs, *self.outputs, *self.schedules)})
         rho, late = self.schedule_of(experiment), 0 if self.scheduled_output is None else 1
         phi = self.operating_point.basis(rho)
         u = experiment[[c.name for c in self.inputs]] - phi @ self.operating_point.u

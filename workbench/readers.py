@@ -24,6 +24,7 @@ from workbench.data import BadStamp, Channel, Experiment, Role, bad_stamps
 from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.records import record
+from workbench.units import UNITS
 
 TIME_NAMES = ("t", "time", "Time", "Zeit")
 
@@ -41,57 +42,6 @@ ROLES: tuple[tuple[str, Role], ...] = (
     (r"w3|theta|y\d*|v|q", "output"),
     (r"r2|arm|p|rho", "schedule"),
 )
-
-
-@record
-class Unit:
-    """1 of this unit is `factor` of the SI unit of its quantity."""
-
-    quantity: str
-    factor: float
-
-
-UNITS: dict[str, Unit] = {
-    "s": Unit("time", 1.0),
-    "ms": Unit("time", 1e-3),
-    "us": Unit("time", 1e-6),
-    "min": Unit("time", 60.0),
-    "h": Unit("time", 3600.0),
-    "rad": Unit("angle", 1.0),
-    "mrad": Unit("angle", 1e-3),
-    "deg": Unit("angle", math.pi / 180),
-    "°": Unit("angle", math.pi / 180),
-    "turn": Unit("angle", 2 * math.pi),
-    "rad/s": Unit("angular velocity", 1.0),
-    "deg/s": Unit("angular velocity", math.pi / 180),
-    "rpm": Unit("angular velocity", math.pi / 30),
-    "1/min": Unit("angular velocity", math.pi / 30),
-    "m": Unit("length", 1.0),
-    "mm": Unit("length", 1e-3),
-    "cm": Unit("length", 1e-2),
-    "um": Unit("length", 1e-6),
-    "km": Unit("length", 1e3),
-    "in": Unit("length", 0.0254),
-    "m/s": Unit("velocity", 1.0),
-    "mm/s": Unit("velocity", 1e-3),
-    "m/min": Unit("velocity", 1 / 60),
-    "km/h": Unit("velocity", 1 / 3.6),
-    "V": Unit("voltage", 1.0),
-    "mV": Unit("voltage", 1e-3),
-    "kV": Unit("voltage", 1e3),
-    "A": Unit("current", 1.0),
-    "mA": Unit("current", 1e-3),
-    "N": Unit("force", 1.0),
-    "mN": Unit("force", 1e-3),
-    "kN": Unit("force", 1e3),
-    "kgf": Unit("force", 9.80665),
-    "N m": Unit("torque", 1.0),
-    "Nm": Unit("torque", 1.0),
-    "N*m": Unit("torque", 1.0),
-    "mNm": Unit("torque", 1e-3),
-    "kg": Unit("mass", 1.0),
-    "g": Unit("mass", 1e-3),
-}
 
 
 @record
@@ -171,35 +121,6 @@ def write_csv(experiment: Experiment, path: str | Path) -> Path:
     table = np.column_stack([experiment.t, experiment.values])
     np.savetxt(text, table, fmt="%.17g", delimiter=",", header=header, comments="")
     return write_text(path, text.getvalue())
-
-
-def check_units(experiment: Experiment, expected: Mapping[str, str]) -> Experiment:
-    """Refuse channels whose unit is not the one expected (channel name -> unit), and say by what to multiply.
-
-    A channel without a unit is taken to have the one expected; names that are not in the record are left alone.
-    Returns the record unchanged; raises InputError with the factor, or with the two quantities where they differ.
-    """
-    for channel in experiment.channels:
-        unit = expected.get(channel.name, "")
-        if unit and channel.unit and channel.unit != unit:
-            _check_unit(experiment.name, channel, unit)
-    return experiment
-
-
-def _check_unit(name: str, channel: Channel, expected: str) -> None:
-    found, wanted = UNITS.get(channel.unit), UNITS.get(expected)
-    problem = f"unit is {channel.unit}, expected {expected}"
-    if found is None or wanted is None:
-        unknown = channel.unit if found is None else expected
-        mend = f"{unknown!r} is no unit this program knows: convert the column and write [{expected}] in the header"
-    elif found.quantity != wanted.quantity:
-        mend = f"{channel.unit} is a {found.quantity}, {expected} a {wanted.quantity}: is this the right column?"
-    elif math.isclose(found.factor, wanted.factor):
-        return
-    else:
-        factor = found.factor / wanted.factor
-        mend = f"multiply the column by {factor:.10g} and write {channel.name} [{expected}] in the header"
-    raise InputError(problem, file=name, channel=channel.name, mend=mend)
 
 
 def _check_file(path: Path) -> None:

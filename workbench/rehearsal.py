@@ -18,6 +18,7 @@ from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
 from workbench.physics.controller import schedules_of, stepped
 from workbench.records import field, record
+from workbench.units import check_law_units
 
 HOLD = (1.0, 4.0)  # s, shortest and longest stay at a set-point
 NO_WORSE = 1.01  # ratio of costs up to which a calmer candidate is taken
@@ -86,6 +87,7 @@ def _check_fits(law: Any, model: LPVModel) -> None:
     if abs(law.dt - model.dt) > SAME_DT * model.dt:
         mend = "design one on this model"
         raise InputError(f"{law.name} is sampled every {law.dt:g} s, the model every {model.dt:g} s", file=model.name, mend=mend)
+    check_law_units(law, (*model.inputs, *model.outputs, *model.schedules), model.name)
     own, known = list(schedules_of(law)), [c.name for c in model.schedules]
     if own and own != known:
         said = f"{law.name} is scheduled on {', '.join(own)}, the model has {', '.join(known) or 'no schedule'}"

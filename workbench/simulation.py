@@ -17,6 +17,7 @@ from workbench.physics.controller import Controller, Loop, Playback, Stepped, sc
 from workbench.physics.parameters import EffectSizes
 from workbench.physics.plant import Plant
 from workbench.records import field, record
+from workbench.units import check_law_units
 
 
 class LeftRangeError(InputError):
@@ -253,6 +254,7 @@ def _check_scenario(plant: Plant, controller: Loop, scenario: Scenario, N: int) 
         check_known("measured channel", name, plant.output_names, file=controller.name)
     for name in controller.actuated:
         check_known("input", name, plant.input_names, file=controller.name)
+    check_law_units(controller, (*plant.inputs, *plant.outputs), plant.name)
     for name in scenario.references:
         check_known("set-point", name, controller.references, file=scenario.name)
     for name in controller.references:

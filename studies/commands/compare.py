@@ -18,10 +18,10 @@ from workbench.intervals.coverage import cover
 from workbench.intervals.model import SCHEMA, IntervalModel, load_interval_model
 from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
-from workbench.readers import check_units
 from workbench.report.page import write_report
 from workbench.residuals import residual_test
 from workbench.sources import read
+from workbench.units import check_units
 
 
 def run(options: Namespace) -> int:

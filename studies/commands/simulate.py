@@ -19,8 +19,9 @@ from workbench.lpv import MUCH
 from workbench.physics.controller import Loop, schedules_of
 from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
-from workbench.readers import check_units, read_file, write_csv
+from workbench.readers import read_file, write_csv
 from workbench.records import record
+from workbench.units import check_units
 
 DURATION = 60.0  # s, of a loop that holds its set-points
 FAR = 100.0  # times the largest set-point, beyond which a loop is lost

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from workbench.readers import UNITS
 from workbench.records import field, record
+from workbench.units import UNITS
 
 OTHER_TIME = 300.0  # a record sampled so many times more slowly or faster than its machine has its time in another unit
 SIXTY = (60.0, 3600.0)  # so has one that is sampled so many times more slowly or faster

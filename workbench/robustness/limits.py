@@ -2,7 +2,7 @@
 
     low, high    max(low - y(k), y(k) - high)               in the unit of the signal
     rate         max |y(k) - y(k-1)| / (t(k) - t(k-1)) - rate      in the unit per second
-    settling     max |y(k) - r(k)| - band                   `settling` seconds after the last change of the set-point r, and later
+    settling     max |y(k) - r(k)| - band                   from `settling` seconds after each change of the set-point r on
 
 Each from `begin` on. Bounds of different units are compared by their share, the excess over what the bound allows: the width
 between low and high where both are given, else the size of the bound; `rate`; `band`. A run that left the range in which its
@@ -118,9 +118,7 @@ class Limit:
         if np.isfinite(self.band):
             if reference is None:
                 raise InputError("no set-point to settle at", file=self.signal, mend="leave band and settling out")
-            moved = np.flatnonzero(np.diff(reference))
-            arrived = (t[moved[-1] + 1] if len(moved) else t[0]) + self.settling
-            over["settling"] = np.abs(y - reference) - self.band, since & (t >= arrived - slack)
+            over["settling"] = np.abs(y - reference) - self.band, since & settled(t, reference, self.settling)
         found = []
         for i, name in enumerate(BOUNDS):
             given = name in self.kept
@@ -135,6 +133,17 @@ class Limit:
                 value, bound = np.where(out, np.inf, value), np.where(out, -1, bound)
             found.append(Excess(value, value / scales[i], sample, bound))
         return tuple(found)
+
+
+def settled(t: np.ndarray, reference: np.ndarray, settling: float) -> np.ndarray:
+    """Whether the set-point (N) has stood for `settling` seconds at the times t (N), since its last change or the start.
+
+    >>> settled(np.arange(6.0), np.array([0.0, 0.0, 1.0, 1.0, 1.0, 2.0]), 2.0)
+    array([False, False, False, False,  True, False])
+    """
+    moved = np.append(True, np.diff(reference) != 0.0)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))
+    return t - t[last] >= settling - (SAME_TIME * (t[1] - t[0]) if len(t) > 1 else 0.0)
 
 
 @record
@@ -337,7 +346,7 @@ def _limit(own: Table, name: str, run: Manoeuvre | None) -> Limit:
         raise InputError(
             f"[{own.name}] {there} without {missing}",
             file=own.file,
-            mend=f"give {missing} too: the output is within band of its set-point after settling seconds",
+            mend=f"give {missing} too: the output is within band of its set-point from settling seconds after every step on",
         )
     if low is None and high is None and rate is None and band is None:
         raise InputError(f"[{own.name}] keeps nothing", file=own.file, mend="give low, high, rate, or band and settling")

@@ -10,6 +10,7 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.lpv import LPVModel, check_schedule_from_outside, lattice
 from workbench.physics.controller import Controller, Loop, schedules_of, stepped
+from workbench.units import check_law_units
 
 COMPARED, SAME_ANSWER = 12, 1e-6  # samples at which law and linear form are compared; of an answer, how far they may differ
 SHARES = (0.95, 0.7, 0.4, 0.02, 1e-4)  # of the room that a law has: answers that are compared; smaller ones drown in rounding
@@ -54,6 +55,7 @@ def check_law(model: LPVModel, law: LinearLaw) -> None:
         if foreign := [name for name in names if name not in known]:
             problem = f"{law.name} has the {kind}s {', '.join(names)}, the model {', '.join(known)}"
             raise InputError(problem, file=model.name, mend=f"identify a model that has {', '.join(foreign)}")
+    check_law_units(law, (*model.inputs, *model.outputs, *model.schedules), model.name)
     known, own = [c.name for c in model.schedules], list(schedules_of(law))
     if own and own != known:
         problem = f"{law.name} is scheduled on {', '.join(own)}, the model on {', '.join(known) or 'nothing'}"

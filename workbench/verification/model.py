@@ -28,7 +28,7 @@ from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.falsify.counterexample import same
 from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins
-from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
+from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, settled
 from workbench.robustness.linear_law import LinearLaw, check_law, without_linear_form
 from workbench.robustness.loop import RATE_OF, driven, interpolated
 from workbench.robustness.machine import machine_with_errors
@@ -365,7 +365,7 @@ def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bo
     none, found = np.full(N, np.inf), []
     for kind in limit.kept:
         value = getattr(limit, "band" if kind == "settling" else kind)
-        told = f"{limit.signal}: {kind if kind != 'settling' else f'within the band {limit.settling:g} s after a step'}"
+        told = f"{limit.signal}: {kind if kind != 'settling' else f'within the band {limit.settling:g} s after every step'}"
         claim = f"{told} {value:g} {unit}" + "/s" * (kind == "rate")
         if kind == "low":
             found.append(Bound(claim, limit.signal, unit, np.where(since, value, -np.inf), none))
@@ -376,9 +376,7 @@ def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bo
             found.append(Bound(claim, f"{RATE_OF}{limit.signal}", f"{unit}/s", -inner, inner))
         else:
             r = references[:, law.measured.index(limit.signal)]
-            moved = np.flatnonzero(np.diff(r))
-            arrived = (t[moved[-1] + 1] if len(moved) else 0.0) + limit.settling
-            late = since & (t >= arrived - 1e-6 * law.dt)
+            late = since & settled(t, r, limit.settling)
             found.append(Bound(claim, limit.signal, unit, np.where(late, r - value, -np.inf), np.where(late, r + value, np.inf)))
     return found
 

@@ -18,7 +18,7 @@ from workbench.robustness.falsify.counterexample import counterexample_of
 from workbench.robustness.falsify.search import at_random, worst_plant
 from workbench.robustness.falsify.trials import Search
 from workbench.robustness.falsify.worst import Worst
-from workbench.robustness.limits import LoopLimits, resolved
+from workbench.robustness.limits import LoopLimits, resolved, settled
 from workbench.robustness.verdict import Status, Verdict
 from workbench.simulation import Scenario, simulate
 from workbench.verification.part import Part
@@ -114,7 +114,7 @@ def _worst_pictures(plant: Any, law: Any, scenario: Scenario, worst: Sequence[Wo
         }
         if found.bound == "settling":
             reference = before[dict(zip(law.measured, law.references, strict=False))[signal]][:N]
-            arrived = since & (t >= found.limit.settling + t[np.append(0, np.flatnonzero(np.diff(reference)) + 1)[-1]])
+            arrived = since & settled(t, reference, found.limit.settling)
             for side, way in (("low", -1.0), ("high", 1.0)):
                 limits[f"{side} end of the band"] = np.where(arrived, reference + way * found.limit.band, np.nan)
         blocks.append(

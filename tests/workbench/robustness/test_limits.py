@@ -39,7 +39,7 @@ def test_rate_is_per_second_of_either_sign_and_the_step_into_begin_does_not_coun
     assert Limit("y", rate=4.0, unit="V").unit_of("rate") == "V/s"
 
 
-def test_settling_counts_from_the_last_change_of_the_set_point():
+def test_settling_counts_from_the_last_change_before_each_sample():
     r = np.array([0.0, 5.0, 5.0, 9.0, 9.0, 9.0, 9.0, 9.0])  # last at 1.5 s
     y = np.array([0.0, 0.0, 0.0, 0.0, 4.0, 12.0, 8.0, 9.5])
     limit = Limit("y", band=0.25, settling=1.0)
@@ -50,6 +50,16 @@ def test_settling_counts_from_the_last_change_of_the_set_point():
     assert limit.excess(T, y + 9.0, np.full(8, 9.0)).sample[0] == 5  # a set-point that never moves: from the start on
     with pytest.raises(InputError, match="no set-point"):
         limit.excess(T, y)
+
+
+def test_every_step_has_to_settle_not_the_last_alone():
+    t = np.arange(0.0, 30.0, 0.1)
+    r = np.select([t < 5.0, t < 25.0], [180.0, 200.0], 200.5)
+    y = np.where((t > 5.0) & (t < 12.0), 230.0, r)  # after the large step far off, after the small one near
+    found = Limit("y", band=14.0, settling=1.0).excess(t, y, r)
+    assert (found.value[0], found.bound_of()) == (16.0, "settling")
+    assert t[found.sample[0]] == pytest.approx(6.0)
+    assert Limit("y", band=14.0, settling=8.0).excess(t, y, r).value[0] < 0.0
 
 
 def test_of_several_bounds_the_one_that_is_broken_by_the_larger_share_counts():

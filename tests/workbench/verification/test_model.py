@@ -55,9 +55,10 @@ def test_a_limit_holds_from_its_beginning_on_and_a_band_from_when_it_has_settled
     assert set(high.high[t >= 0.55]) == {2.0}
     (band,) = _asked(Limit("y", band=0.1, settling=1.0), LAW, r, "m")
     asked = np.isfinite(band.low)
-    np.testing.assert_array_equal(asked, t >= 3.0 - 1e-9)
-    np.testing.assert_allclose(band.low[asked], 0.9)
-    np.testing.assert_allclose(band.high[asked], 1.1)
+    first = (t >= 1.0 - 1e-9) & (t < 2.0 - 1e-9)  # until the next step
+    np.testing.assert_array_equal(asked, (t >= 3.0 - 1e-9) | first)
+    np.testing.assert_allclose(band.low[asked], np.where(first, -0.1, 0.9)[asked])
+    np.testing.assert_allclose(band.high[asked], np.where(first, 0.1, 1.1)[asked])
     (rate,) = _asked(Limit("u", rate=4.0, begin=1.0), LAW, r, "V")
     assert (rate.signal, rate.unit) == ("rate of u", "V/s")
     np.testing.assert_array_equal(np.isfinite(rate.high), t >= 1.1 - 1e-9)  # between samples of which both are from then on

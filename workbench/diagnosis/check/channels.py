@@ -8,7 +8,7 @@ from workbench.data import Dataset, Experiment
 from workbench.diagnosis.check.note import Note
 from workbench.errors import InputError
 from workbench.physics.plant import Plant
-from workbench.readers import UNITS
+from workbench.units import UNITS
 
 PER_UNKNOWN = 10  # samples for each state and each parameter that is open
 MOVES = 2.0  # a channel whose spread around a line is less than so many standard deviations of its noise stands still

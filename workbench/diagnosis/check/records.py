@@ -9,7 +9,7 @@ from workbench.diagnosis.check.comparison import comparison_notes
 from workbench.diagnosis.check.note import Note
 from workbench.errors import InputError
 from workbench.physics.plant import Plant
-from workbench.readers import check_units
+from workbench.units import check_units
 
 
 def check(plant: Plant, dataset: Dataset, *, anyway: bool = False) -> tuple[Note, ...]:

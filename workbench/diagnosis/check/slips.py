@@ -7,8 +7,8 @@ import numpy as np
 
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError
-from workbench.readers import UNITS
 from workbench.records import field, record
+from workbench.units import UNITS
 
 NEAR = 0.25  # a ratio of spreads is a unit's factor f if it is within f**NEAR of it
 APART = 6.0  # units closer to each other than this factor are not told by size

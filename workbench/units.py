@@ -1,0 +1,116 @@
+"""Units of channels: which quantity they are of, by what factor they differ, and that nothing in one is taken for another."""
+
+import math
+from collections.abc import Iterable, Mapping
+
+from workbench.data import Channel, Experiment
+from workbench.errors import InputError
+from workbench.records import record
+
+
+@record
+class Unit:
+    """1 of this unit is `factor` of the SI unit of its quantity."""
+
+    quantity: str
+    factor: float
+
+
+UNITS: dict[str, Unit] = {
+    "s": Unit("time", 1.0),
+    "ms": Unit("time", 1e-3),
+    "us": Unit("time", 1e-6),
+    "min": Unit("time", 60.0),
+    "h": Unit("time", 3600.0),
+    "rad": Unit("angle", 1.0),
+    "mrad": Unit("angle", 1e-3),
+    "deg": Unit("angle", math.pi / 180),
+    "°": Unit("angle", math.pi / 180),
+    "turn": Unit("angle", 2 * math.pi),
+    "rad/s": Unit("angular velocity", 1.0),
+    "deg/s": Unit("angular velocity", math.pi / 180),
+    "rpm": Unit("angular velocity", math.pi / 30),
+    "1/min": Unit("angular velocity", math.pi / 30),
+    "m": Unit("length", 1.0),
+    "mm": Unit("length", 1e-3),
+    "cm": Unit("length", 1e-2),
+    "um": Unit("length", 1e-6),
+    "km": Unit("length", 1e3),
+    "in": Unit("length", 0.0254),
+    "m/s": Unit("velocity", 1.0),
+    "mm/s": Unit("velocity", 1e-3),
+    "m/min": Unit("velocity", 1 / 60),
+    "km/h": Unit("velocity", 1 / 3.6),
+    "V": Unit("voltage", 1.0),
+    "mV": Unit("voltage", 1e-3),
+    "kV": Unit("voltage", 1e3),
+    "A": Unit("current", 1.0),
+    "mA": Unit("current", 1e-3),
+    "N": Unit("force", 1.0),
+    "mN": Unit("force", 1e-3),
+    "kN": Unit("force", 1e3),
+    "kgf": Unit("force", 9.80665),
+    "N m": Unit("torque", 1.0),
+    "Nm": Unit("torque", 1.0),
+    "N*m": Unit("torque", 1.0),
+    "mNm": Unit("torque", 1e-3),
+    "kg": Unit("mass", 1.0),
+    "g": Unit("mass", 1e-3),
+    "Pa": Unit("pressure", 1.0),
+    "kPa": Unit("pressure", 1e3),
+    "MPa": Unit("pressure", 1e6),
+    "mbar": Unit("pressure", 1e2),
+    "bar": Unit("pressure", 1e5),
+    "psi": Unit("pressure", 6894.757293168),
+    "m^3/s": Unit("flow", 1.0),
+    "m3/s": Unit("flow", 1.0),
+    "m^3/h": Unit("flow", 1 / 3600),
+    "m3/h": Unit("flow", 1 / 3600),
+    "l/s": Unit("flow", 1e-3),
+    "l/min": Unit("flow", 1e-3 / 60),
+    "l/h": Unit("flow", 1e-3 / 3600),
+}
+
+
+def check_units(experiment: Experiment, expected: Mapping[str, str]) -> Experiment:
+    """Refuse channels of a record whose unit is not the one expected (channel name -> unit), and say by what to multiply.
+
+    A channel without a unit is taken to have the one expected; names that are not in the record are left alone.
+    Returns the record unchanged; raises InputError with the factor, or with the two quantities where they differ.
+    """
+    for channel in experiment.channels:
+        unit = expected.get(channel.name, "")
+        if why := differ(channel.unit, unit):
+            factor, head = _factor(channel.unit, unit), f"[{unit}] in the header"
+            convert = f"multiply the column by {factor:.10g} and write {channel.name} {head}" if factor else ""
+            mend = convert or f"{why}: is this the right column? else convert it and write {head}"
+            problem = f"unit is {channel.unit}, expected {unit}"
+            raise InputError(problem, file=experiment.name, channel=channel.name, mend=mend)
+    return experiment
+
+
+def check_law_units(law: object, channels: Iterable[Channel], file: str) -> None:
+    """Refuse a law that was made for other units than a loop's channels have; one that names no units is taken as it is."""
+    made_for = getattr(law, "units", {})
+    for c in channels:
+        if differ(own := made_for.get(c.name, ""), c.unit):
+            said = f"in {c.unit}, {getattr(law, 'name', 'the law')} was made for {own}"
+            raise InputError(said, file=file, channel=c.name, mend="design a law in the units of this loop")
+
+
+def differ(unit: str, expected: str) -> str:
+    """How two units differ, in words; "" where they are one, or one is not known."""
+    if not unit or not expected or unit == expected:
+        return ""
+    found, wanted = UNITS.get(unit), UNITS.get(expected)
+    if found is None or wanted is None:
+        return f"nothing is known of {unit} in {expected}"
+    if found.quantity != wanted.quantity:
+        return f"{unit} is a {found.quantity}, {expected} a {wanted.quantity}"
+    return "" if math.isclose(found.factor, wanted.factor) else f"1 {unit} is {found.factor / wanted.factor:.10g} {expected}"
+
+
+def _factor(unit: str, expected: str) -> float | None:
+    """By what a column in `unit` is multiplied; None where that is not known, or would make no sense."""
+    found, wanted = UNITS.get(unit), UNITS.get(expected)
+    return None if found is None or wanted is None or found.quantity != wanted.quantity else found.factor / wanted.factor
