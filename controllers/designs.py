@@ -55,6 +55,10 @@ class ScheduledPIDDesign:
     feedforward: bool = True
     robust_to: tuple[LPVModel, ...] = ()
 
+    def __post_init__(self):
+        if self.filter is not None and not 0.0 <= self.filter < np.inf:
+            raise InputError(f"filter {self.filter:g}", mend="the time constant of the derivative's filter in s, 0 for none")
+
     def design(self, model: LPVModel, progress: Say = lambda _: None) -> PIDDesign:
         """The controller with its margins at every schedule value. Raises InputError where none keeps the bounds."""
         _check_model(model)

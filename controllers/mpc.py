@@ -4,6 +4,7 @@
     such that   low <= u_i <= high,   |u_i - u_{i-1}| <= rate dt,   y_low - s <= y_i <= y_high + s,   s >= 0
 
 over x_{i+1} = A(rho_i) x_i + B(rho_i) (u_i - u0 + d) and y_i = C(rho_i) x_i + y0 with the state and disturbance of the observer.
+A limit that an output is beyond now asks no more of it than the command of the steady state does.
 (xt, ut) is the steady state in which the outputs come as near to the set-point as the limits allow; it replaces a set-point that
 cannot be reached. P is the cost of the linear-quadratic regulator from there on: without active limits the first move is that
 regulator's, whatever the horizon. Limits of the commands are hard, those of the outputs give way at a price.
@@ -244,7 +245,26 @@ class MPC(Receding):
         program = Program(*with_limits(condensed, self._reach(last), self._way, self._soft, TINY))
         if self.tube is not None:
             self._tighten(program, model.by_errors(d_out))
+        else:
+            self._give_way(program, model, z, ut)
         return program
+
+    def _give_way(self, program: Program, model: "_Along", z: np.ndarray, ut: np.ndarray) -> None:
+        """Ask no more of an output that is beyond a limit now than the command of the steady state does.
+
+        On its way back a machine may first go further out, for longer than the horizon: a price on that would hold it there.
+        """
+        soft, y = self._soft[2], model.outputs(z)
+        above, below = (y > self.y_high)[soft], (y < self.y_low)[soft]
+        if not (above | below).any():
+            return
+        way = model.under(z, ut)[:, soft]
+        over = np.where(above, np.maximum(way - self.y_high[soft], 0.0), 0.0)
+        under = np.where(below, np.minimum(way - self.y_low[soft], 0.0), 0.0)
+        both = np.stack([over, under]).transpose(2, 0, 1).ravel()  # of each output the upper limits, then the lower ones
+        rows = slice(len(program.lower) - len(both), None)
+        program.upper[rows] += both  # infinite for the lower ones, and the other way round
+        program.lower[rows] += both
 
     def _slack(self, program: Program, found: np.ndarray) -> float:
         """How far a plan leaves the limits of outputs without slack, relative to what stands in them."""
@@ -404,6 +424,15 @@ class _Along:
     def outputs(self, z: np.ndarray) -> np.ndarray:
         """What is measured now at z."""
         return self.matrices(0)[2] @ z[: self.nx] + self.disturbances(z)[1] + self.y0[0]
+
+    def under(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Outputs of samples 1 .. N, (N, ny), under a constant command."""
+        x, (d_in, d_out), found = z[: self.nx], self.disturbances(z), []
+        for i in range(len(self.path) - 1):
+            A, B, _ = self.matrices(i)
+            x = A @ x + B @ (u - self.u0[i] + d_in)
+            found.append(self.matrices(i + 1)[2] @ x + d_out + self.y0[i + 1])
+        return np.array(found)
 
     def moved(self, z: np.ndarray, u: np.ndarray, push: np.ndarray) -> np.ndarray:
         """z at the next sample."""

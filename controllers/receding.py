@@ -207,6 +207,8 @@ def limits_with(fallback: ScheduledPID, **given: np.ndarray | None) -> dict[str,
 
 def weights_by(scale: np.ndarray, names: Sequence[str], nu: int, move: float, *, when: str, file: str, mend: str) -> Weights:
     """Outputs count in units of `scale` (ny,), what unit inputs move them; move: price of a unit move. Refuses a scale of 0."""
+    if not 0.0 < move < np.inf:
+        raise InputError(f"move {move:g}", mend="the price of moving a command: a number above 0, 0.003 is usual")
     if not np.all(scale > 0.0):
         raise InputError(f"no input moves it {when}", file=file, channel=names[int(scale.argmin())], mend=mend)
     return Weights(1.0 / scale**2, np.full(nu, move), np.zeros(nu))

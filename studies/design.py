@@ -99,6 +99,7 @@ def _tried(
 def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
     """Writes mpc.json or nmpc.json, with the model or the plant and the fallback law inside, and design.json."""
     chosen = _plant_of(options, kind)
+    weights = default_weights(model, options.move)
     errors = _errors_of(options, model, progress)
     keep = _ranges(options.keep, model)
     if options.fallback:
@@ -114,7 +115,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         progress("fallback law: scheduled PID")
         fallback = _tuned(options, "scheduled-pid" if model.schedules else "pid", model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
-    common = {"horizon": options.horizon, "weights": default_weights(model, options.move), **limits}
+    common = {"horizon": options.horizon, "weights": weights, **limits}
     if chosen and kind == "nmpc":
         solver = SOLVERS[check_known("solver", options.solver, SOLVERS)]()
         law = design_nmpc(chosen.plant, fallback, base=chosen.base, solver=solver, **common)
@@ -289,6 +290,8 @@ def _ranges(texts: list[str], model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
             colon = ""
         if not colon:
             raise InputError(f"--keep {part}", mend=f"write {name or 'OUTPUT'}=LOW:HIGH, one of them may be left out")
+        if not low[at] < high[at]:
+            raise InputError(f"--keep {part}", mend=f"the lower limit first: {name.strip()}={last}:{first}")
     return low, high
 
 

@@ -42,7 +42,9 @@ def run(options: Namespace) -> int:
     found.save(folder, base=chosen.base if chosen else "", own=controller.own, source=source)
     if options.json:
         write_bytes(options.json, (folder / CHECK_FILE).read_bytes())
-    for line in (found.tried, *found.boxes, *found.verdicts):
+    for line in (found.tried, *found.boxes):
         say(str(line))
+    for verdict in found.verdicts:
+        say(str(verdict) + f"; again: workbench simulate --replay {folder / verdict.witness}" * bool(verdict.witness))
     say(f"{found.sentences[0].removesuffix('.')}\nreport: {folder / 'report.html'}")
     return 1 if found.status is Status.FAILED else 0

@@ -89,4 +89,6 @@ def _described(dataset: Dataset) -> str:
     found = {"input": first.names_of("input"), "output": first.names_of("output"), "schedule": first.names_of("schedule")}
     roles = ", ".join(f"{role} {' '.join(channels)}" for role, channels in found.items() if channels)
     sizes = ", ".join(f"{e.name} ({len(e)} samples)" for e in dataset)
-    return f"records: {sizes}, sampled every {dataset.dt:g} s; {roles}"
+    idle = [name for name in first.names if name not in sum(found.values(), ()) and not first.channel(name).has_role("reference")]
+    unused = f"; not used: {', '.join(idle)} (name it with --output, --inputs or --schedule)" if idle else ""
+    return f"records: {sizes}, sampled every {dataset.dt:g} s; {roles}{unused}"

@@ -294,7 +294,7 @@ def _loop_scores(law: Loop, run: Experiment) -> list[dict[str, Any]]:
 
 
 def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
-    """How well the plant, driven by a record's inputs, reproduces the record's outputs (free run)."""
+    """How well the plant, driven by a record's inputs, reproduces the record's outputs: a free run from the plant's own rest."""
     from workbench import metrics
 
     scores = []
@@ -306,7 +306,7 @@ def _replay_scores(plant, record, simulated) -> list[dict[str, Any]]:
             except InputError:
                 continue  # a channel that does not move has no FIT
             say(
-                f"  {channel.name}: simulated from the measured inputs, free-run FIT {values['FIT']:.1f}, "
+                f"  {channel.name}: simulated from the measured inputs and its own rest, FIT {values['FIT']:.1f}, "
                 f"RMSE {values['RMSE']:.4g} {channel.unit}"
             )
             scores.append({"output": channel.name, "horizon": "free-run", "unit": channel.unit} | values)

@@ -9,10 +9,12 @@ import pytest
 from controllers import mpc as module
 from controllers import receding
 from controllers.mpc import MPC, Extrapolated, MPCState, design_mpc
+from controllers.pid import pid
 from controllers.receding import UNPLANNED, Status, Weights
 from tests.controllers.test_mpc import DT, Plant, free, law, lpv
-from workbench.basis import PiecewiseLinear
-from workbench.lpv import OperatingPoint, Term
+from workbench.basis import CONSTANT, PiecewiseLinear
+from workbench.data import Channel
+from workbench.lpv import OperatingPoint, Predictor, Term, constant_model
 
 N = 10
 U0, Y0 = np.array([[0.3, -0.2], [1.1, 0.6]]), np.array([[5.0, 1.0], [7.0, -1.0]])  # at both ends of the schedule
@@ -190,3 +192,26 @@ def test_limits_default_to_those_of_the_fallback_law():
     other = design_mpc(lpv(), own.fallback, rate=np.array([1.0, 2.0]), weights=Weights((1.0, 1.0), (1.0, 1.0), (0.0, 0.0)))
     np.testing.assert_array_equal(other.rate, [1.0, 2.0])
     np.testing.assert_array_equal(other.low, own.fallback.low)
+
+
+def test_a_machine_that_first_goes_the_other_way_comes_back_into_its_limits():
+    """y = 400 slow - 60 fast of u: what brings y down in the end moves it up within the horizon, and the cold is far away."""
+    A, B, C = np.diag([0.99, 0.6]), np.array([[0.01], [0.4]]), np.array([[400.0, -60.0]])
+    K = np.array([[2e-3], [0.0]])
+    model = constant_model(
+        "heater", 0.1, ((Channel("u", "%", "input"),), (Channel("T", "degC", "output"),)), (A, B, C, np.zeros((1, 1))),
+        OperatingPoint(CONSTANT, [[0.0]], [[20.0]]), predictor=Predictor((A - K @ C)[None], B[None], K[None], 20),
+        noise=np.array([[0.01]]),
+    )  # fmt: skip
+    fallback = pid(("u",), ("T",), ("T_set",), 0.1, [1e-3], [1e-3], low=[0.0], high=[1.0])
+    law = design_mpc(model, fallback, horizon=10, y_low=np.array([100.0]), y_high=np.array([240.0]))
+    u, runs = np.array([0.9]), []
+    x, state = np.array([0.9, 0.9]), law.init(u)
+    for _ in range(600):
+        y = C @ x + 20.0
+        u, state = law.step(state, np.array([180.0]), y)
+        x = A @ x + B @ u
+        runs.append(y[0])
+    assert runs[0] > 320.0
+    assert max(runs[150:]) < 240.0
+    assert abs(runs[-1] - 180.0) < 2.0

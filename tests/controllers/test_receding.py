@@ -111,12 +111,14 @@ def test_the_fallback_law_runs_on_until_a_solver_answers_and_starts_anew_after_t
     assert states[12].plan.law is None
 
 
-@pytest.mark.parametrize("outputs", [(0.25, 9.0), (4.0, 0.1)])
-def test_a_violated_output_limit_costs_what_is_said(outputs):
-    """Both outputs start beyond their limits; at these prices neither gives way wholly."""
+@pytest.mark.parametrize(
+    ("outputs", "z"), [((0.25, 9.0), (-0.46, 0.58, 1.47, 0.61, 1.22)), ((4.0, 0.1), (-0.39, -0.71, 1.35, -1.43, 0.38))]
+)
+def test_a_violated_output_limit_costs_what_is_said(outputs, z):
+    """Both outputs are on their way out; at these prices neither gives way wholly."""
     weights = Weights(outputs, (0.3, 0.2), (0.0, 0.0), violation=1.5)
     controller = law(horizon=8, weights=weights, y_low=np.array([4.9, -9.0]), y_high=np.array([9.0, 1.2]), prediction=Held())
-    z, last, r = np.array([-1.0, 1.2, 0.4, 0.2, -0.1]), np.array([0.2, 0.3]), np.array([4.5, 1.6])
+    z, last, r = np.array(z), np.array([0.2, 0.3]), np.array([4.5, 1.6])
     path, state = controller._path(1.3, 0.0), controller.init(last)
     program = controller._program(last, module._Along(controller, path), z, np.tile(r, (9, 1)))
     slack = receding.solved_by_daqp(program)[16:]

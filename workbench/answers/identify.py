@@ -36,6 +36,8 @@ from workbench.report.blocks import Report
 from workbench.report.page import write_report
 
 SCORES_FILE = "scores.json"
+LATE = "lpv-oe"  # takes minutes: over one schedule variable it is tried where the others leave much to do
+GOOD, FEW = 90.0, 5000  # free-run FIT below which it is, and on how many samples at most without being asked for
 
 
 def identify(
@@ -46,12 +48,12 @@ def identify(
     """LPV models of the outputs of `records` from their inputs over their schedule, scored on `held_out` records.
 
     methods: names ("lti", "ilm", "ssm", "oe", "lpv-oe"), or methods by name such as {"ssm": SSM(order=3)}; default all, for one
-    schedule variable without the last. best: only the one of them that runs best on parts of `records` that it was not fitted to;
-    default where no methods are named, otherwise each is
-    fitted. criterion: "prediction" as the methods do, "simulation" with every model refined by the error of its free runs, "best"
-    where that runs better on parts of `records` (see `ByCriterion`). interval: an interval method that is fitted beside them.
-    dt [s]: sample time to bring the records to. horizon: steps of the k-step prediction that is scored. accept: hand out models
-    that the referee objects to. Raises InputError for records without inputs or outputs, and where no method can be fitted.
+    schedule variable the last only where the others run at a FIT below GOOD. best: only the one of them that runs best on parts
+    of `records` that it was not fitted to; default where no methods are named, otherwise each is fitted. criterion: "prediction"
+    as the methods do, "simulation" with every model refined by the error of its free runs, "best" where that runs better on parts
+    of `records` (see `ByCriterion`). interval: an interval method that is fitted beside them. dt [s]: sample time to bring the
+    records to. horizon: steps of the k-step prediction that is scored. accept: hand out models that the referee objects to.
+    Raises InputError for records without inputs or outputs, and where no method can be fitted.
 
         >>> identify(data, held_out, methods=["ssm"])
         Free-run FIT on held-out records. SSM: n 92.0 %.
@@ -65,6 +67,11 @@ def identify(
         progress("interval: identifying")
         bounded = fit_outputs(interval, given.own)
     choice, models, remarks = _fitted(named, given.own, chosen, progress) if named else (None, {}, [])
+    put_off = {LATE: ByCriterion(by_name[LATE], criterion)} if _put_off(by_name, given.own) else {}
+    if choice and choice.fit[choice.method] < GOOD and sum(map(len, given.own)) <= FEW:
+        choice = _better(choice, put_off, given.own, progress)
+        models, put_off = {choice.method: choice.model}, {}
+        remarks = _chosen_of(choice)
     results: list[ScoredModel] = []
     for name, model in models.items():
         own, said = scores_of(model, given.own, given.held_out, horizon)
@@ -75,6 +82,10 @@ def identify(
         held = cover(model, given.held_out, "held-out") if given.held_out else ()
         envelopes = cover(model, given.own, "estimation") + held
         results.append(ScoredModel(model, f"{name}.json", tuple(c.nominal for c in envelopes), envelopes))
+    split = "held-out" if given.held_out else "estimation"
+    runs = [s.FIT for own in results for s in own.scores if (s.split, s.horizon) == (split, "free-run")]
+    if put_off and runs and max(runs) < GOOD:
+        remarks.append(f"note: no free run has a FIT of {GOOD:g}: --model {LATE} fits free runs over the schedule, in minutes")
     results = refereed(results, given.own, given.shown)
     results, below = above_floor(results)
     return IdentificationResult(tuple(results), given, choice, (*remarks, *below), accept)
@@ -225,12 +236,28 @@ def _possible(methods: Mapping[str, Method], records: Dataset, progress: Progres
     if len(methods) == 1 and (name := next(iter(methods))) in skipped:
         mend = "give --schedule, in Python read(.., schedule=..), or take another method"
         raise InputError(f"{name} {skipped[name]}", file=first.name, mend=mend)
-    if set(methods) == set(METHODS) and len(first.names_of("schedule")) == 1:
-        skipped.setdefault("lpv-oe", "takes minutes, and for one schedule it is tried where it is asked for by name")
+    if _put_off(methods, records):
+        skipped[LATE] = f"takes minutes, and for one schedule it is tried where the others run at a FIT below {GOOD:g}"
     for name in methods:
         if name in skipped:
             progress(f"{name}: skipped, it {skipped[name]}")
     return {name: method for name, method in methods.items() if name not in skipped}
+
+
+def _put_off(methods: Mapping[str, Method], records: Dataset) -> bool:
+    """Whether the slowest method waits for what the others can do."""
+    schedules = schedules_of(records.experiments[0])
+    return set(methods) == set(METHODS) and len(schedules) == 1 and LATE not in dict(_unfit(schedules))
+
+
+def _better(choice: Choice, methods: Mapping[str, Method], records: Dataset, progress: Progress) -> Choice:
+    """The choice among these methods too."""
+    try:
+        other = choose(methods, records, progress=progress)
+    except InputError as reason:  # none of them can be fitted, or runs
+        return replace(choice, failed={**choice.failed, **dict.fromkeys(methods, reason.problem)})
+    best = max(choice, other, key=lambda own: own.fit[own.method])
+    return replace(best, fit={**choice.fit, **other.fit}, failed=choice.failed)
 
 
 def _unfit(schedules: Sequence[Channel]) -> Iterator[tuple[str, str]]:
@@ -249,8 +276,7 @@ def _fitted(
     """Every method fitted, or the one that runs best on what it was not fitted to; and which could not be, and why."""
     if chosen:
         choice = choose(methods, records, progress=progress)
-        refused_of = [f"warning: no {name} model: {reason}" for name, reason in choice.failed.items()]
-        return choice, {choice.method: choice.model}, [_chosen(choice), *refused_of]
+        return choice, {choice.method: choice.model}, _chosen_of(choice)
     models: dict[str, LPVModel] = {}
     reasons: dict[str, InputError] = {}
     for name, method in methods.items():
@@ -266,6 +292,11 @@ def _fitted(
         for name, reason in reasons.items()
     ]
     return None, models, said
+
+
+def _chosen_of(choice: Choice) -> list[str]:
+    """What was chosen, and what could not be."""
+    return [_chosen(choice), *(f"warning: no {name} model: {reason}" for name, reason in choice.failed.items())]
 
 
 def _chosen(choice: Choice) -> str:

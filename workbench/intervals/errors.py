@@ -4,9 +4,10 @@
     box  = the smallest one around every constant theta for which that holds at all samples of all records
 
 theta = 0 is the model as it is, so the box says how far its gains and its memory of the outputs can be off without any record
-telling. At a given bound it shrinks with every further record. As an interval model of e it holds every sample: the term of size `bound` is one
-more regressor, the constant 1 with the radius `bound`. An interval regression of the plant itself (`regression`) has to cover the
-differences of a linear model from the machine in every sample, and its boxes are wide where the machine is of higher order.
+telling. At a given bound it shrinks with every further record. As an interval model of e it holds every sample: the term of
+size `bound` is one more regressor, the constant 1 with the radius `bound`. An interval regression of the plant itself
+(`regression`) has to cover the differences of a linear model from the machine in every sample, and its boxes are wide where the
+machine is of higher order.
 
 Set-membership identification with an unknown but bounded error: Milanese, Vicino, "Optimal estimation theory for dynamic systems
 with set membership uncertainty", Automatica 27 (1991).

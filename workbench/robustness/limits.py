@@ -28,6 +28,7 @@ from workbench.toml import Table, kind, read_toml
 
 BOUNDS = ("low", "high", "rate", "settling")
 RANGE = "range"  # the bound that a run breaks which has left the range of its plant
+MOST = 1e7  # samples of a run
 SAME_TIME = 1e-6  # of a sample, within which two times are one
 
 
@@ -174,6 +175,9 @@ class Manoeuvre:
             check_known("output of the controller", output, source.values(), file=name)
         if missing := [output for output in source.values() if output not in self.setpoints]:
             raise InputError(f"no set-point for {', '.join(missing)}", file=name, mend="give one in [run.setpoints]")
+        if self.duration / dt > MOST:
+            problem = f"duration {self.duration:g} s is {self.duration / dt:.2g} samples of {dt:g} s"
+            raise InputError(problem, file=name, mend=f"at most {MOST * dt:g} s")
         t = dt * np.arange(round(self.duration / dt))
         if len(t) < 2:
             raise InputError(f"duration {self.duration:g} s", file=name, mend=f"at least two samples of {dt:g} s")

@@ -27,6 +27,7 @@ SHARES = (1.0, 0.1, 0.01)  # of a step on a plant whose range nobody knows: its 
 SHARE = 0.5  # of the room that limits leave, for a step; of a step, from where on an error is lost
 ALONG = 1000  # samples at least along a schedule that moves on its own
 EDGE = 0.1  # of a schedule's span that steps stay within
+OVERSHOOT = 0.2  # of a step, from where on it is said
 FAR = 1e3  # steps, beyond which a run on a linear model is lost
 SAME = 0.1  # of the span within which an output of the operating point is the schedule
 
@@ -53,6 +54,9 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     step = _steps(law, model, rest)
     if follows is not None:
         rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
+    names = [c.name for c in model.outputs]
+    own = [names.index(name) for name in law.measured[: len(law.references)]]
+    rest[own], step[own] = _inside(law, rest[own], step[own])
     references, settling = _path(rest, step, _settling(law, model)), _settling(law, model)
     N = len(references)
     if model.schedules and follows is None and N < ALONG:
@@ -61,8 +65,6 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     run = Rehearsal(model, references, rho, np.zeros_like(references), np.ones(len(rest)), follows)
     with np.errstate(over="ignore", invalid="ignore"):
         _, y = run.run(law)
-    names = [c.name for c in model.outputs]
-    own = [names.index(name) for name in law.measured[: len(law.references)]]
     moving = ", ".join(c.name for c in model.schedules)
     where = f"the model {model.name}" + f", {moving} {_moves(model, follows)}" * bool(moving)
     size = np.maximum(np.abs(references - references[0]).max(axis=0), 1e-300)
@@ -80,7 +82,7 @@ def on_plant(law: Any, plant: Plant, model: LPVModel) -> Trial:
     begun = simulate(plant, law, _scenario(law, np.zeros((2, len(own)))), bumpless=True, cut=True).experiment
     rest = np.array([begun[name][0] for name in law.measured[: len(law.references)]])
     step = _steps(law, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
-    scheduled = dict(zip(schedules_of(law), np.reshape(law.span, (-1, 2)), strict=False))
+    scheduled = dict(zip(schedules_of(law), np.reshape(getattr(law, "span", model.spans), (-1, 2)), strict=False))
     known = [name for name in scheduled if name in law.measured[: len(law.references)]]
     for name in known:
         j, (low, high) = law.measured.index(name), scheduled[name]
@@ -158,6 +160,16 @@ def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(reach) & (reach > 0.0), np.minimum(SHARE * reach, free), free)
 
 
+def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Set-points and steps within the limits that a law keeps its outputs in, where it has any: nothing else is asked of it."""
+    low, high = getattr(law, "y_low", np.full(len(rest), -np.inf)), getattr(law, "y_high", np.full(len(rest), np.inf))
+    both = np.isfinite(low) & np.isfinite(high)
+    middle = np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.clip(rest, low, high))
+    rest = np.where((rest >= low) & (rest <= high), rest, middle)
+    up, down = high - rest, rest - low
+    return rest, np.where(step <= up, step, np.where(step <= down, -step, np.where(up >= down, up, -down)))
+
+
 def _settling(law: Any, model: LPVModel) -> int:
     """Samples in which the slowest frozen loop settles."""
     planned = not hasattr(law, "at")
@@ -175,17 +187,26 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     changes = np.flatnonzero(np.any(np.diff(r, axis=0) != 0.0, axis=1)) + 1
     ends = [int(k) for k, begun in zip((*changes, len(r)), (0, *changes), strict=True) if k - begun >= settling]
     worst = np.zeros(len(size))
+    over = np.zeros(len(size))
     for end in ends:
+        begun = max([0, *changes[changes < end]])
+        moved = r[begun] - r[begun - 1] if begun else np.zeros(len(size))
+        beyond = (np.sign(moved) * (y[begun:end] - r[begun])).max(axis=0)
+        over = np.where(moved != 0.0, np.maximum(over, beyond / np.maximum(np.abs(moved), 1e-300)), over)
         last = slice(end - max(1, settling // 5), end)
         off = np.sqrt(np.mean((r[last] - y[last]) ** 2, axis=0))
         worst = np.maximum(worst, off)
         for name, unit, error, step in zip(law.measured, units, off, size, strict=False):
             if step > 0.0 and error > SHARE * step:
                 away = f"{name} stays {error:.3g} {unit}".rstrip() + f" away from its set-point until {dt * end:.4g} s"
-                return _lost(where, f"{away}, after a step of {step:.3g} {unit}".rstrip())
-    steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() for name, unit, step in zip(law.measured, units, size, strict=False))
+                begun = f"from {r[0, law.measured.index(name)]:.4g} {unit}".rstrip()
+                return _lost(where, f"{away}, after a step of {step:.3g} {unit}".rstrip() + f" {begun}")
+    own = list(zip(law.measured, units, size, r[0], over, strict=False))
+    steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in own)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
-    return Trial(where, "", said)
+    far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in own if share > OVERSHOOT]
+    calm = " (--setpoint-weight 0 or --no-feedforward follow set-points more calmly)" * hasattr(law, "b")
+    return Trial(where, "", said + "".join(f"; {own}" for own in far) + calm * bool(far))
 
 
 def _lost(where: str, why: str) -> Trial:

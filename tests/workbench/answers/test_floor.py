@@ -92,3 +92,28 @@ def test_the_command_takes_an_output_as_schedule_and_a_design_refuses_its_model(
     for law in ("scheduled-pid", "mpc"):
         assert main(["design", law, "--model", str(tmp_path / "out" / "ssm.json"), "--out", str(tmp_path / law)]) == 2
         assert "level is schedule and output of this model" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_slowest_method_is_tried_where_the_others_leave_much_to_do():
+    """A heater: what cools it, and so its gain and its time constant, is the flow; seen late, and in steps of 0.25."""
+
+    def record(name: str, seed: int) -> Experiment:
+        random, N = np.random.default_rng(seed), 450
+        flow = np.clip(np.repeat(random.uniform(0.5, 3.0, N // 50), 50) + 0.02 * np.cumsum(random.normal(size=N)), 0.4, 3.2)
+        u, T = np.repeat(random.uniform(10.0, 90.0, N // 30), 30), np.full(N, 80.0)
+        for k in range(N - 1):
+            T[k + 1] = T[k] + 0.2 * (1.5 * u[max(k - 4, 0)] - flow[k] * (T[k] - 20.0) * 0.5) / 2.0
+        outputs = {"T": np.round((T + 0.2 * random.normal(size=N)) / 0.25) * 0.25}
+        return Experiment.from_arrays(name, 0.2, inputs={"u": u}, outputs=outputs, schedule={"flow": flow})
+
+    data, fresh = Dataset((record("a", 1), record("b", 2))), Dataset((record("c", 3),))
+    found = wb.identify(data, fresh)
+    others = [fit for name, fit in found.choice.fit.items() if name != "lpv-oe"]
+    assert max(others) < 90.0
+    assert len(others) == 4
+    assert found.choice.fit[found.choice.method] == max(found.choice.fit.values())
+    assert "lpv-oe" in {*found.choice.fit, *found.choice.failed}
+    assert found.model.name == found.choice.model.name
+    several = wb.identify(data, fresh, methods=["lti", "oe"])
+    assert not any("lpv-oe" in remark for remark in several.remarks)  # it was not among what was asked for

@@ -9,13 +9,14 @@ import pytest
 from scipy.linalg import expm
 
 from controllers.files import load_controller, save_controller
+from controllers.mpc import design_mpc
 from controllers.pid import pid
 from controllers.pid_design import design_pid
 from studies.cli import main
 from tests.controllers.test_pid_design import machine
 from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
-from workbench.lpv import LPVModel, OperatingPoint, Term, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term, constant_model
 from workbench.physics.plant import Plant
 from workbench.physics.rest import Start
 from workbench.verification.trial import along, followed, on_model, on_plant
@@ -172,3 +173,48 @@ def test_every_designed_law_of_a_sound_machine_is_handed_out():
     trial = on_model(design_pid(machine(), knots=1).law, machine())
     assert not trial.lost
     assert "r2 going once along its span" in trial.sentence
+
+
+def test_an_mpc_is_tried_within_the_limits_that_it_keeps():
+    """The model rests at 0, far below them: that a set-point there is not followed is no loss."""
+    model = constant_model(
+        "tank", 0.1, ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),)),
+        ([[0.9]], [[0.1]], [[1.0]], [[0.0]]), OperatingPoint(CONSTANT, [[0.0]], [[0.0]]),
+        predictor=Predictor([[[0.5]]], [[[0.1]]], [[[0.4]]], 5), noise=np.array([[1e-4]]),
+    )  # fmt: skip
+    fallback = pid(("u",), ("y",), ("y_set",), 0.1, [0.5], [0.5], low=[0.0], high=[10.0])
+    for keep in ((5.0, 7.0), (5.0, np.inf), (-np.inf, -0.5)):
+        law = design_mpc(model, fallback, horizon=10, y_low=np.array(keep[:1]), y_high=np.array(keep[1:]), low=np.array([-10.0]))
+        trial = on_model(law, model)
+        assert not trial.lost
+        first = 6.0 if np.isfinite(keep).all() else keep[0] if np.isfinite(keep[0]) else keep[1]
+        assert f"from {first:.4g}" in trial.sentence
+
+
+@pytest.mark.parametrize(("b", "overshoots"), [(1.0, True), (0.0, False)])
+def test_an_overshoot_is_said_with_what_calms_it(b, overshoots):
+    """A lag of 1 s under Kp = 3, Ki = 14: the set-point's zero makes it overshoot by a fifth and more, without it by less."""
+    a = np.exp(-0.02)
+    model = constant_model(
+        "lag", 0.02, ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),)),
+        ([[a]], [[1.0 - a]], [[1.0]], [[0.0]]), OperatingPoint(CONSTANT, [[0.0]], [[0.0]]),
+    )  # fmt: skip
+    law = pid(("u",), ("y",), ("y_set",), 0.02, [3.0], [14.0], b=[b])
+    trial = on_model(law, model, [1.0])
+    assert not trial.lost
+    assert ("overshoots by up to" in trial.sentence) is overshoots
+    assert ("--setpoint-weight 0" in trial.sentence) is overshoots
+    if overshoots:
+        said = float(trial.sentence.split("by up to ")[1].split("%")[0]) / 100.0
+        assert said == pytest.approx(stepped_by_hand(3.0, 14.0, b, a), abs=0.006)
+
+
+def stepped_by_hand(Kp, Ki, b, a):
+    """The largest y - 1 after a unit step."""
+    x, z, found = 0.0, 0.0, []
+    for _ in range(1000):
+        found.append(x - 1.0)
+        u = Kp * (b - x) + z
+        z += 0.02 * Ki * (1.0 - x)
+        x = a * x + (1.0 - a) * u
+    return max(found)

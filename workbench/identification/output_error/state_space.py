@@ -101,7 +101,8 @@ class LPVOutputError:
             for n in self._orders:
                 own = task.fitted(n, basis)
                 missed = np.inf if own is None else _missed(own.model, unseen)
-                said.append(f"order {n}, {len(basis.names)} functions: {100.0 * missed:.3g} %")
+                told = f"{100.0 * missed:.3g} %" if missed < 10.0 else "runs away"
+                said.append(f"order {n}, {len(basis.names)} functions: {told}")
                 if missed < WORTH * least:
                     best, least, failed = own, missed, 0
                 elif (failed := failed + 1) >= PATIENCE:
