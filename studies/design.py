@@ -193,7 +193,8 @@ def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PID
     """The PID that the options ask for."""
     for name in ("sensitivity", "complementary", "effort"):
         if not getattr(options, name) > 1.0:
-            raise InputError(f"--{name} {getattr(options, name):g}", mend="no loop does with 1 or less; 1.2 to 2 is usual")
+            usual = "3 and more are" if name == "effort" else "1.2 to 2 is"
+            raise InputError(f"--{name} {getattr(options, name):g}", mend=f"no loop does with 1 or less; {usual} usual")
     design = ScheduledPIDDesign(
         options.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,

@@ -24,7 +24,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is no duration in seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is no duration in seconds: expected more than 0 and below 1e6")
     return value
 
 

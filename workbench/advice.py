@@ -339,8 +339,10 @@ def _clipped(experiment: Experiment) -> Iterator[Advice]:
         for at, extreme in (("upper", 1), ("lower", 0)):
             level, count, next_count = (levels[-1], counts[-1], counts[-2]) if extreme else (levels[0], counts[0], counts[1])
             if count > max(0.01 * len(x), 5 * next_count, 5) and _longest_run(x == level) >= 4:
-                sentence = f"is clipped: {count} of {len(x)} samples sit exactly at its {at} end {level:g}; leave them out"
-                yield Advice("clipped", experiment.name, channel.name, sentence, "warning")
+                commanded = channel.has_role("input")
+                what = "if something else acted on the machine, log that" if commanded else "beyond it the sensor says nothing"
+                sentence = f"is clipped: {count} of {len(x)} samples sit exactly at its {at} end {level:g}; {what}"
+                yield Advice("clipped", experiment.name, channel.name, sentence, "note" if commanded else "warning")
 
 
 def _longest_run(mask: np.ndarray) -> int:

@@ -188,6 +188,8 @@ def test_constant_channels_are_named():
 def test_clipping_is_many_equal_samples_in_runs_at_an_end():
     assert kinds(made(np.minimum(SINE + 0.01 * NOISE, 0.8)))["clipped"] == "y"
     assert kinds(made(np.maximum(SINE + 0.01 * NOISE, -0.8)))["clipped"] == "y"
+    (own,) = [own for own in advise(Dataset((made(NOISE, u=np.minimum(SINE + 0.01 * NOISE, 0.8)),))) if own.kind == "clipped"]
+    assert (own.channel, own.severity) == ("u", "note")  # a command at its stop is a sound record
     assert "clipped" not in kinds(made(SINE + 0.01 * NOISE))
     assert "clipped" not in kinds(made(np.round(SINE, 1) + 0.0))  # coarse steps dwell at the ends
     assert "clipped" not in kinds(made(np.sign(NOISE)))  # switched between two levels

@@ -80,6 +80,8 @@ def check(
     for name, count in (("lags", lags), ("nodes", nodes), ("runs", runs)):
         if count is not None and not (isinstance(count, int) and count >= 1):
             raise InputError(f"{name} = {count!r}", mend="expected a whole number from 1 on")
+    if rate is not None and not 0.0 < rate < math.inf:
+        raise InputError(f"rate = {rate:g}", mend="how fast the schedule moves, in its units per second: a number above 0")
     dataset = None if records is None else as_dataset(records)
     left = None
     if model is not None and dataset is not None:
