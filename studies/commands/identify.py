@@ -10,6 +10,7 @@ from studies.terminal import progress, say
 from workbench.advice import advise
 from workbench.answers.identify import SCORES_FILE, identify, prepared
 from workbench.data import Dataset
+from workbench.decimation import thinned
 from workbench.errors import check_known
 from workbench.files import write_bytes
 from workbench.identification import METHODS
@@ -27,8 +28,8 @@ def run(options: Namespace) -> int:
     interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
     methods = {name: METHODS[name](**_method_options(options, name)) for name in wanted if name != INTERVAL}
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
-    held_out = _read(options.holdout, roles) if options.holdout else None
-    given = prepared(_read(options.records, roles), held_out, options.dt)
+    held_out = _read(options.holdout, roles, options.dt) if options.holdout else None
+    given = prepared(_read(options.records, roles, options.dt), held_out, options.dt)
     for note in given.notes:
         say(f"note: {note}")
     say(_described(given.own))
@@ -76,11 +77,27 @@ def _say_advice(dataset: Dataset, order: int | None = None, *, warnings_only: bo
             say(f"{note.severity}: {note.record}{', ' + note.channel if note.channel else ''}: {note.sentence}")
 
 
-def _read(paths: list[str], roles: dict[str, tuple[str, ...]]) -> Dataset:
-    """The records with their roles; `--schedule none` leaves out the channel that its name makes a schedule."""
-    if roles["schedule"] != ("none",):
-        return read(*paths, inputs=roles["inputs"], outputs=roles["outputs"], schedule=roles["schedule"])
-    records = read(*paths, inputs=roles["inputs"], outputs=roles["outputs"])
+def _read(paths: list[str], roles: dict[str, tuple[str, ...]], dt: float | None) -> Dataset:
+    """The records with their roles; `--schedule none` leaves out the channel that its name makes a schedule.
+
+    dt: records of different sample times are each brought to this one.
+    """
+    schedule = roles["schedule"] if roles["schedule"] != ("none",) else ()
+
+    def together(own: list[str]) -> Dataset:
+        return read(*own, inputs=roles["inputs"], outputs=roles["outputs"], schedule=schedule)
+
+    each = [together([path]) for path in paths] if dt else []
+    if len({round(own.dt / dt, 6) for own in each if dt}) > 1:
+        brought = [thinned(own, dt) for own in each]
+        for own, (_, said) in zip(each, brought, strict=True):
+            if said:
+                say(f"note: {own.names[0]}: {said}")
+        records = Dataset(tuple(done.experiments[0] for done, _ in brought))
+    else:
+        records = together(paths)
+    if schedule == roles["schedule"]:
+        return records
     return Dataset(tuple(e.select([c.name for c in e.channels if c.role != "schedule"]) for e in records))
 
 

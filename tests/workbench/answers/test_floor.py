@@ -117,3 +117,17 @@ def test_the_slowest_method_is_tried_where_the_others_leave_much_to_do():
     assert found.model.name == found.choice.model.name
     several = wb.identify(data, fresh, methods=["lti", "oe"])
     assert not any("lpv-oe" in remark for remark in several.remarks)  # it was not among what was asked for
+
+
+def test_records_of_different_sample_times_are_brought_to_the_one_asked_for(tmp_path, capsys):
+    fast, slow = lag("a", 1, 800), lag("b", 2, 400)
+    fast = Experiment.from_arrays("a", 0.5, inputs={"u": fast["u"]}, outputs={"y": fast["y"]})
+    paths = [str(wb.write_csv(e, tmp_path / f"{e.name}.csv")) for e in (fast, slow)]
+    words = ["identify", *paths, "--inputs", "u", "--output", "y", "--model", "lti", "--order", "2", "--accept"]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert "identify --dt" in capsys.readouterr().err
+    assert main([*words, "--dt", "1", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "a: sampled every 0.5 s, used every 1 s" in said
+    assert "a (400 samples), b (400 samples), sampled every 1 s" in said
+    assert wb.load_model(tmp_path / "out" / "lti.json").dt == 1.0
