@@ -4,7 +4,7 @@
     such that   low <= u_i <= high,   |u_i - u_{i-1}| <= rate dt,   y_low - s <= y_i <= y_high + s,   s >= 0
 
 over x_{i+1} = A(rho_i) x_i + B(rho_i) (u_i - u0 + d) and y_i = C(rho_i) x_i + y0 with the state and disturbance of the observer.
-A limit that an output is beyond now asks no more of it than the command of the steady state does.
+A limit that an output is beyond now asks no more of it than the command of the steady state does, up to twice as far out.
 (xt, ut) is the steady state in which the outputs come as near to the set-point as the limits allow; it replaces a set-point that
 cannot be reached. P is the cost of the linear-quadratic regulator from there on: without active limits the first move is that
 regulator's, whatever the horizon. Limits of the commands are hard, those of the outputs give way at a price.
@@ -41,12 +41,13 @@ from controllers.scheduled_pid import ScheduledPID
 from controllers.tube import Tube, design_tube, predictor_observer
 from workbench.errors import InputError
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel, check_schedule_from_outside, ends, lattice, model_from_dict
+from workbench.lpv import LPVModel, check_schedule_from_outside, ends, lattice, model_from_dict, one_or_all
 from workbench.physics.controller import schedules_of
 from workbench.records import field, record
 
 KIND = "mpc"
 KEPT = 2e-6  # relative slack, of which half are the solvers', up to which a plan is in the tube
+FURTHER = 2.0  # times as far beyond a limit as it is now, that an output may go on its way back
 POINTS = 11  # schedule values at which terminal costs are found
 
 
@@ -138,13 +139,12 @@ class MPC(Receding):
 
     @property
     def schedule(self) -> str | tuple[str, ...] | None:
-        names = tuple(c.name for c in self.model.schedules)
-        return names if len(names) > 1 else names[0] if names else None
+        return one_or_all(tuple(c.name for c in self.model.schedules))
 
     @property
     def units(self) -> dict[str, str]:
         """Units of the channels by name."""
-        return {c.name: c.unit for c in (*self.model.inputs, *self.model.outputs, *self.model.schedules)}
+        return self.model.units
 
     def outside(self, rho: np.ndarray) -> float:
         """How far a schedule leaves what the model knows, in widths of that; 0 inside."""
@@ -250,21 +250,18 @@ class MPC(Receding):
         return program
 
     def _give_way(self, program: Program, model: "_Along", z: np.ndarray, ut: np.ndarray) -> None:
-        """Ask no more of an output that is beyond a limit now than the command of the steady state does.
+        """Ask no more of an output beyond a limit than the command of the steady state does: FURTHER times its excess at most.
 
         On its way back a machine may first go further out, for longer than the horizon: a price on that would hold it there.
         """
         soft, y = self._soft[2], model.outputs(z)
-        above, below = (y > self.y_high)[soft], (y < self.y_low)[soft]
-        if not (above | below).any():
+        low, high, y = self.y_low[soft], self.y_high[soft], y[soft]
+        if not np.any(np.maximum(y - high, low - y) > KEPT * (1.0 + np.abs(y))):
             return
         way = model.under(z, ut)[:, soft]
-        over = np.where(above, np.maximum(way - self.y_high[soft], 0.0), 0.0)
-        under = np.where(below, np.minimum(way - self.y_low[soft], 0.0), 0.0)
-        both = np.stack([over, under]).transpose(2, 0, 1).ravel()  # of each output the upper limits, then the lower ones
-        rows = slice(len(program.lower) - len(both), None)
-        program.upper[rows] += both  # infinite for the lower ones, and the other way round
-        program.lower[rows] += both
+        over = np.clip(way - high, 0.0, FURTHER * np.maximum(y - high, 0.0))
+        under = np.clip(way - low, -FURTHER * np.maximum(low - y, 0.0), 0.0)
+        _move_limits(program, over, under)
 
     def _slack(self, program: Program, found: np.ndarray) -> float:
         """How far a plan leaves the limits of outputs without slack, relative to what stands in them."""
@@ -282,10 +279,7 @@ class MPC(Receding):
         rows = slice(first, first + len(moves))
         program.lower[rows] += moves
         program.upper[rows] -= moves
-        above, below = moved[:, soft] - self.tube.y[:, soft], moved[:, soft] + self.tube.y[:, soft]
-        both = np.stack([above, below]).transpose(2, 0, 1).ravel()  # of each output the upper limits, then the lower ones
-        program.upper[rows.stop :] += both  # infinite for the lower ones, and the other way round
-        program.lower[rows.stop :] += both
+        _move_limits(program, moved[:, soft] - self.tube.y[:, soft], moved[:, soft] + self.tube.y[:, soft])
 
     def _reach(self, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest commands (N, nu), with the room of the tube."""
@@ -387,6 +381,14 @@ class MPC(Receding):
         """u0 and y0 along a schedule."""
         phi = self.model.operating_point.basis(path)
         return phi @ self.model.operating_point.u, phi @ self.model.operating_point.y
+
+
+def _move_limits(program: Program, upper: np.ndarray, lower: np.ndarray) -> None:
+    """Add (N, soft) each to the upper and lower limits of those outputs in a program that have any: its last rows."""
+    both = np.stack([upper, lower]).transpose(2, 0, 1).ravel()  # of each output the upper limits, then the lower ones
+    rows = slice(len(program.lower) - len(both), None)
+    program.upper[rows] += both  # infinite for the lower ones, and the other way round
+    program.lower[rows] += both
 
 
 class _Along:

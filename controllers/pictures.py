@@ -24,12 +24,10 @@ def design_pictures(
     Of several schedule variables the first goes over its span, in a line for each of a few values of the others.
     """
     model = models[0]
-    lines = _lines(model)
-    margins = {
-        f"{name}{', ' * bool(where)}{where}": worst_margins(law, models, rho, bounds, scale)
-        for name, law in laws.items()
-        for where, rho in lines.items()
+    lines = {
+        ", ".join(filter(None, [name, where])): (law, rho) for name, law in laws.items() for where, rho in _lines(model).items()
     }
+    margins = {line: worst_margins(law, models, rho, bounds, scale) for line, (law, rho) in lines.items()}
     peaks = {"largest sensitivity": "sensitivity", "largest complementary sensitivity": "complementary", "largest pole": "radius"}
     name, law = list(laws.items())[-1]
     shown = model.frozen_values(FAMILY) if len(model.schedules) < 2 else [*model.frozen_values(2), model.middle]
@@ -53,11 +51,7 @@ def design_pictures(
         panel: {own: getattr(m, key) for own, m in margins.items()} | {"asked": np.array(asked[key])}
         for panel, key in peaks.items()
     }  # fmt: skip
-    gains = {
-        f"{own}{', ' * bool(where)}{where}": [found.gains_at(value) for value in rho]
-        for own, found in laws.items()
-        for where, rho in lines.items()
-    }
+    gains = {line: [own.gains_at(value) for value in rho] for line, (own, rho) in lines.items()}
     surfaces = {
         f"{kind}, {u.name} from {y.name}": {own: np.array([g[k][i, j] for g in each]) for own, each in gains.items()}
         for k, kind in enumerate(Gains._fields[:-1])

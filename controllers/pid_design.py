@@ -18,7 +18,7 @@ from controllers.tuning import Tuned, Tuning, tune
 from workbench.basis import CONSTANT, Basis, PiecewiseLinear, Products
 from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import LPVModel, check_schedule_from_outside, mesh
+from workbench.lpv import LPVModel, check_schedule_from_outside, mesh, one_or_all
 from workbench.records import field, record
 from workbench.robustness.frozen import DEFAULT, PEAKS, Bounds, Margins, around, frequencies, resonant, worst_margins
 
@@ -163,9 +163,8 @@ def design_pid(
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
         worst = plan.worst(margins, lines)
         rhos = np.unique(np.concatenate([rhos, checked[worst]]), axis=0)
-        lines = (
-            (rhos,) if len(lines) == 1 else lines
-        )  # a lattice through points of its cells would grow with their number squared
+        if len(lines) == 1:  # a lattice through what is between several lines would grow with its number squared
+            lines = (rhos,)
         omega = np.unique(np.concatenate([omega, margins.frequencies[worst].ravel()]))
     raise InputError(
         f"after {REFINEMENTS} refinements the loop still breaks its bounds at {plan.place(checked[bad][0])}: "
@@ -305,10 +304,10 @@ class _Plan:
             dt=model.dt, Kp=Kp, Ki=Ki, Kd=rest[0] if rest else np.zeros_like(Kp), Kr=Kr, u0=u0,
             b=np.full(ny, structure.b), c=np.zeros(ny),
             low=each(structure.low, -np.inf), high=each(structure.high, np.inf), rate=each(structure.rate, np.inf), Tf=self.Tf,
-            basis=self.surface(), schedule=None if self.fixed else schedule[0] if len(schedule) == 1 else schedule,
-            span=np.array([-np.inf, np.inf]) if self.fixed else span if len(span) > 1 else span[0],
+            basis=self.surface(), schedule=None if self.fixed else one_or_all(schedule),
+            span=np.array([-np.inf, np.inf]) if self.fixed else one_or_all(span),
             name="pid" if self.fixed else "scheduled-pid",
-            units={c.name: c.unit for c in (*model.inputs, *model.outputs, *model.schedules)},
+            units=model.units,
         )  # fmt: skip
 
     def held(self, setpoint: Sequence[float] | np.ndarray | None) -> np.ndarray:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from workbench.basis import CONSTANT, Basis, basis_from_dict, basis_to_dict, functions_at, knots_of
+from workbench.basis import CONSTANT, Basis, Products, basis_from_dict, basis_to_dict, functions_at, knots_of
 from workbench.errors import InputError, check_known
 from workbench.physics.controller import schedules_of
 from workbench.records import field, record
@@ -108,6 +108,9 @@ class ScheduledPID:
         several = schedules_of(self) if isinstance(self.schedule, tuple) else ()
         if len(several) == 1:
             raise InputError(f"schedule {self.schedule}", file=self.name, mend=f"one variable by its name: {several[0]!r}")
+        if several and not (isinstance(self.basis, Products) and len(self.basis.factors) == len(several)):
+            mend = "give basis=Products((..), ..) with functions of each"
+            raise InputError(f"no functions of {', '.join(several)} together", file=self.name, mend=mend)
         low, high = self.span[..., 0], self.span[..., -1]
         if self.span.shape != ((len(several), 2) if several else (2,)):
             mend = f"({len(several)}, 2): lowest and highest of each of {', '.join(several)}" if several else "(lowest, highest)"

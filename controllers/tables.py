@@ -14,7 +14,7 @@ from controllers.mpc import MPC, Extrapolated
 from controllers.scheduled_pid import LAW, BackCalculation, ScheduledPID, finite
 from workbench.basis import Basis, PiecewiseLinear, Powers, Products
 from workbench.errors import InputError
-from workbench.lpv import mesh
+from workbench.lpv import mesh, one_or_all
 from workbench.physics.controller import schedules_of
 from workbench.provenance import program
 
@@ -79,7 +79,7 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
     return {
         "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name, "law": LAW, "dt": law.dt,
         "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
-        "schedule": schedules if len(schedules) > 1 else schedules[0] if schedules else None,
+        "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
@@ -108,7 +108,7 @@ def mpc_matrices(law: MPC) -> dict[str, Any]:
     return {
         "schema": MATRICES, "version": VERSION, "program": program(), "name": law.name, "equations": PROGRAM, "dt": law.dt,
         "horizon": law.horizon, "inputs": named(model.inputs), "outputs": named(model.outputs),
-        "schedule": schedules if len(schedules) > 1 else schedules[0] if schedules else None,
+        "schedule": one_or_all(schedules),
         "disturbances": "inputs" if law.observer.at_inputs else "outputs", "weights": vars(law.weights),
         "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate), "y_low": finite(law.y_low),
         "y_high": finite(law.y_high), "memory": law.prediction.memory if isinstance(law.prediction, Extrapolated) else None,

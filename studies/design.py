@@ -235,10 +235,8 @@ def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | No
     u = []
     for rho in model.frozen_values(POINTS):
         A, B, C, D = model.freeze(rho)
-        phi, gain = (
-            model.operating_point.basis(np.array(0.0 if rho is None else rho)),
-            C @ np.linalg.solve(np.eye(len(A)) - A, B) + D,
-        )
+        phi = model.operating_point.basis(np.array(0.0 if rho is None else rho))
+        gain = C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
         u.append(phi @ model.operating_point.u + np.linalg.pinv(gain) @ (setpoint - phi @ model.operating_point.y))
     over = f" over {', '.join(c.name for c in model.schedules)}" if model.schedules else ""
     for c, each, low, high in zip(model.inputs, np.transpose(u), law.low, law.high, strict=True):

@@ -154,6 +154,11 @@ class LPVModel:
     def order(self) -> int:
         return self.A.shape[1]
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the channels by name."""
+        return {c.name: c.unit for c in (*self.inputs, *self.outputs, *self.schedules)}
+
     # ---- the schedule -------------------------------------------------------------------------------------------
 
     @property
@@ -368,7 +373,7 @@ class LPVModel:
                 file=experiment.name,
                 mend="resample the record",
             )
-        check_units(experiment, {c.name: c.unit for c in (*self.inputs, *self.outputs, *self.schedules)})
+        check_units(experiment, self.units)
         rho, late = self.schedule_of(experiment), 0 if self.scheduled_output is None else 1
         phi = self.operating_point.basis(rho)
         u = experiment[[c.name for c in self.inputs]] - phi @ self.operating_point.u
@@ -438,8 +443,8 @@ class LPVModel:
             "dt": self.dt,
             "inputs": [vars(c) for c in self.inputs],
             "outputs": [vars(c) for c in self.outputs],
-            "schedule": _one_or_all([vars(c) for c in self.schedules]),
-            "span": _one_or_all(self.spans.tolist(), [0.0, 0.0]),
+            "schedule": one_or_all([vars(c) for c in self.schedules]),
+            "span": one_or_all(self.spans.tolist(), [0.0, 0.0]),
             "reach": self.reach,
             "basis": basis_to_dict(self.basis),
             "operating_point": {
@@ -469,9 +474,9 @@ class LPVModel:
         write_json(path, self.to_dict())
 
 
-def _one_or_all(values: list, none: Any = None) -> Any:
-    """How a file holds what belongs to the schedules: one by itself, several as a list, `none` without any."""
-    return values if len(values) > 1 else values[0] if values else none
+def one_or_all(values: Any, none: Any = None) -> Any:
+    """What belongs to the schedules, as laws and files hold it: one by itself, several as they are, `none` without any."""
+    return values if len(values) > 1 else values[0] if len(values) else none
 
 
 def check_one_if_output(schedules: Sequence[Channel], file: str) -> None:

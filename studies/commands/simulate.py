@@ -15,7 +15,7 @@ from studies.terminal import note, say
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
-from workbench.lpv import MUCH
+from workbench.lpv import MUCH, scheduled
 from workbench.physics.controller import Loop, schedules_of
 from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
@@ -161,7 +161,7 @@ def _followed(law: Any, done: Any) -> dict[str, Any]:
     found: dict[str, Any] = {"tracking": _loop_scores(law, done.experiment), "at_limit": _at_limits(law, done.experiment)}
     schedules = schedules_of(law)
     if schedules and hasattr(law, "outside"):
-        rho = done.experiment[list(schedules)] if len(schedules) > 1 else done.experiment[next(iter(schedules))]
+        rho = scheduled(done.experiment, [done.experiment.channel(name) for name in schedules])
         if (beyond := law.outside(rho)) > MUCH:
             own = ", ".join(schedules)
             say(f"  {own} left the range that the law was made for by {beyond:.0%} of its width; it held the edge value")

@@ -152,8 +152,12 @@ def stated_in_cvxpy(controller, state, z, r, path):
         y = model.freeze(path[i + 1])[2] @ x[i + 1] + [5.0, 1.0]
         way = Ai @ way + Bi @ (ut - [0.3, -0.2] + z[nx:])
         allowed = model.freeze(path[i + 1])[2] @ way + [5.0, 1.0]
-        high = np.where(now > controller.y_high, np.maximum(controller.y_high, allowed), controller.y_high)
-        low = np.where(now < controller.y_low, np.minimum(controller.y_low, allowed), controller.y_low)
+        high, low = controller.y_high, controller.y_low
+        for j in range(2):
+            if now[j] > high[j]:
+                high = np.where(np.arange(2) == j, min(max(high[j], allowed[j]), high[j] + 2.0 * (now[j] - high[j])), high)
+            if now[j] < low[j]:
+                low = np.where(np.arange(2) == j, max(min(low[j], allowed[j]), low[j] - 2.0 * (low[j] - now[j])), low)
         limits += [y - s <= high, y + s >= low]
         before = u[i]
     L = np.linalg.cholesky(controller.terminal_cost(path[-1]))
@@ -178,6 +182,27 @@ def test_the_first_move_is_that_of_cvxpy_and_clarabel():
         room = np.minimum(controller.high - plan, plan - controller.low)
         active += bool((room < 1e-6).any() or (np.abs(np.diff(plan, axis=0)) > controller.rate * DT - 1e-6).any())
     assert active >= 6  # limits were really in play
+
+
+def test_a_limit_that_is_hardly_exceeded_is_hardly_moved(monkeypatch):
+    """However far the command of the steady state would throw the output: by twice its excess at most."""
+    controller, random = law(horizon=12, y_high=np.array([5.2, 1.2])), np.random.default_rng(6)
+    give_way, moved = MPC._give_way, []
+    for _ in range(60):
+        z, last = random.normal(size=5) * [0.4, 0.4, 0.4, 0.5, 0.5], random.uniform(-1.0, 1.0, 2)
+        along = module._Along(controller, controller._path(1.3, 0.0))
+        excess = np.maximum(along.outputs(z) - controller.y_high, 0.0)
+        programs = []
+        for way in (give_way, lambda *_: None):
+            monkeypatch.setattr(MPC, "_give_way", way)
+            programs.append(controller._program(last, along, z, np.tile([4.0, 0.5], (13, 1))))
+        there = np.isfinite(programs[1].upper)
+        by = programs[0].upper[there] - programs[1].upper[there]
+        assert by.min() >= 0.0
+        assert by.max() <= 2.0 * excess.max() + 1e-12
+        moved.append(by.max())
+    assert max(moved) > 0.1
+    assert 0.0 in moved
 
 
 def test_both_solvers_give_one_answer():

@@ -19,7 +19,7 @@ from controllers.observer import design_observer, interpolated
 from controllers.pid_design import design_pid
 from studies.cli import main
 from tests.controllers.test_mpc import lpv
-from workbench.basis import Powers, Products, constant, polynomials, unity
+from workbench.basis import PiecewiseLinear, Powers, Products, constant, polynomials, unity
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.intervals.errors import ErrorRegression
@@ -345,6 +345,7 @@ def test_laws_and_models_of_other_schedules_do_not_go_together(model, design, pa
         ({"schedule": "p"}, r"span of shape"),
         ({"span": ((0.0, 1.0), (2.0, 2.0))}, "schedule range"),
         ({"schedule": ("p",), "span": ((0.0, 1.0),)}, "one variable by its name: 'p'"),
+        ({"basis": PiecewiseLinear(np.arange(9.0))}, "no functions of p, q together"),
     ],
 )
 def test_a_law_of_a_wrong_span_is_refused(design, change, said):

@@ -68,7 +68,7 @@ def identify(
         bounded = fit_outputs(interval, given.own)
     choice, models, remarks = _fitted(named, given.own, chosen, progress) if named else (None, {}, [])
     put_off = {LATE: ByCriterion(by_name[LATE], criterion)} if _put_off(by_name, given.own) else {}
-    if choice and choice.fit[choice.method] < GOOD and sum(map(len, given.own)) <= FEW:
+    if put_off and choice and choice.fit[choice.method] < GOOD and sum(map(len, given.own)) <= FEW:
         choice = _better(choice, put_off, given.own, progress)
         models, put_off = {choice.method: choice.model}, {}
         remarks = _chosen_of(choice)

@@ -75,7 +75,7 @@ def on_model(
     """
     model, of, several = left.model, f"model {left.model.name}", len(left.model.schedules) > 1
     nodes = nodes or (FEWER if several else NODES)
-    compared = [rho for n in (nodes, nodes if several else COMPARED) for rho in model.frozen_values(n) if rho is not None]
+    compared = [rho for n in ((nodes,) if several else (nodes, COMPARED)) for rho in model.frozen_values(n) if rho is not None]
     if said := without_linear_form(law, compared):
         return Part(TITLE, tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)))
     check_law(model, law)

@@ -57,7 +57,8 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     rest[own], step[own] = _inside(law, rest[own], step[own])
-    references, settling = _path(rest, step, _settling(law, model)), _settling(law, model)
+    settling = _settling(law, model)
+    references = _path(rest, step, settling)
     N = len(references)
     if model.schedules and follows is None and N < ALONG:
         references, N = np.repeat(references, -(-ALONG // N), axis=0), N * -(-ALONG // N)
@@ -185,26 +186,23 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     """Whether outputs (N ny) end near set-points (N ny) that have stood for as long as the loop takes to settle."""
     size = np.abs(r - y[0]).max(axis=0)
     changes = np.flatnonzero(np.any(np.diff(r, axis=0) != 0.0, axis=1)) + 1
-    ends = [int(k) for k, begun in zip((*changes, len(r)), (0, *changes), strict=True) if k - begun >= settling]
-    worst = np.zeros(len(size))
+    stays = [(int(a), int(b)) for a, b in zip((0, *changes), (*changes, len(r)), strict=True) if b - a >= settling]
     over = np.zeros(len(size))
-    for end in ends:
-        begun = max([0, *changes[changes < end]])
+    for begun, end in stays:
         moved = r[begun] - r[begun - 1] if begun else np.zeros(len(size))
         beyond = (np.sign(moved) * (y[begun:end] - r[begun])).max(axis=0)
         over = np.where(moved != 0.0, np.maximum(over, beyond / np.maximum(np.abs(moved), 1e-300)), over)
         last = slice(end - max(1, settling // 5), end)
         off = np.sqrt(np.mean((r[last] - y[last]) ** 2, axis=0))
-        worst = np.maximum(worst, off)
         for name, unit, error, step in zip(law.measured, units, off, size, strict=False):
             if step > 0.0 and error > SHARE * step:
                 away = f"{name} stays {error:.3g} {unit}".rstrip() + f" away from its set-point until {dt * end:.4g} s"
-                begun = f"from {r[0, law.measured.index(name)]:.4g} {unit}".rstrip()
-                return _lost(where, f"{away}, after a step of {step:.3g} {unit}".rstrip() + f" {begun}")
-    own = list(zip(law.measured, units, size, r[0], over, strict=False))
-    steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in own)
+                first = f"from {r[0, law.measured.index(name)]:.4g} {unit}".rstrip()
+                return _lost(where, f"{away}, after a step of {step:.3g} {unit}".rstrip() + f" {first}")
+    each = list(zip(law.measured, units, size, r[0], over, strict=False))
+    steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in each)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
-    far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in own if share > OVERSHOOT]
+    far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in each if share > OVERSHOOT]
     calm = " (--setpoint-weight 0 or --no-feedforward follow set-points more calmly)" * hasattr(law, "b")
     return Trial(where, "", said + "".join(f"; {own}" for own in far) + calm * bool(far))
 
