@@ -104,7 +104,7 @@ def differ(unit: str, expected: str) -> str:
         return ""
     found, wanted = UNITS.get(unit), UNITS.get(expected)
     if found is None or wanted is None:
-        return f"nothing is known of {unit} in {expected}"
+        return f"no conversion from {unit} to {expected} is known"
     if found.quantity != wanted.quantity:
         return f"{unit} is a {found.quantity}, {expected} a {wanted.quantity}"
     return "" if math.isclose(found.factor, wanted.factor) else f"1 {unit} is {found.factor / wanted.factor:.10g} {expected}"

@@ -44,7 +44,7 @@ def records(u="V", T="rad"):
 
 @pytest.mark.parametrize(
     ("u", "T", "said"),
-    [("mV", "rad", "multiply the column by 0.001"), ("V", "deg", "0.01745"), ("%", "rad", "nothing is known of % in V")],
+    [("mV", "rad", "multiply the column by 0.001"), ("V", "deg", "0.01745"), ("%", "rad", "no conversion from % to V is known")],
 )
 def test_a_model_takes_no_record_in_other_units(u, T, said):
     own = records(u, T).experiments[0]
@@ -84,5 +84,5 @@ def test_factors_are_those_of_the_quantities():
     e = dataclasses.replace(records().experiments[0], channels=(Channel("u", "m3/h", "input"), Channel("T", "K", "output")))
     with pytest.raises(InputError, match=r"multiply the column by 16.66666667 and write u \[l/min\]"):
         check_units(e, {"u": "l/min"})
-    with pytest.raises(InputError, match="nothing is known of K in degC"):
+    with pytest.raises(InputError, match="no conversion from K to degC is known"):
         check_units(e, {"T": "degC"})
