@@ -208,7 +208,7 @@ def _fitted(law: Law, dataset: Dataset) -> Model:
     model = Model(made.predictor, made.fit)
     for key in law.effects:
         sizes = small_sizes(model.predictor, model.fit)
-        score = scores(signatures(model.predictor, model.fit, variants(model.predictor, model.fit, [key]), sizes))[0]
+        score = scores(signatures(model.predictor, model.fit, variants(model.predictor, model.fit, [key], sizes), sizes))[0]
         model = settled(refit(model, score, sizes), sizes)
     return model
 

@@ -388,6 +388,18 @@ class Predictor:
         line = Linearization(last[0], last[1], H, np.isfinite(r.seen))
         return _coloured(line, len(self.noise.drift), len(self.noise.coloured), self.noise.decays(plant.dt))
 
+    def moved(self, i: int, eta: np.ndarray) -> np.ndarray:
+        """What effects eta (ne) in place of the fitted ones do in every sample of record i to what the filter carries, (N, n)."""
+        active = self._active()
+        restart = np.repeat(self.corrected(i, self.point)[:, :, None], 2, axis=2)
+        both = _smooth(self.plant, np.stack([self.point.eta[i], eta]))
+        at = self.point.p[None], both, self.point.start[i][None]
+        flow = self._run(self.records[i], *at, stepper.Steering(restart=restart, full=True)).full
+        assert flow is not None
+        change = flow[1, 1:, active].T - flow[0, 1:, active].T
+        change = np.concatenate([change, change[-1:]])
+        return np.pad(change, ((0, 0), (0, len(self.noise.drift) + len(self.noise.coloured))))
+
     def _acting(self, i: int, x: np.ndarray, eta: np.ndarray) -> np.ndarray:
         """What the inputs do to the rates of change at x (N, nx) along record i: (N, nx, nu); empty where none is an entry."""
         plant, r = self.plant, self.records[i]

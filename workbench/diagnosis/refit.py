@@ -22,6 +22,7 @@ CONVERGED = 3.0  # deviance: half of what a cause must be worth
 SETTLINGS = 4
 CLOSER = 3  # refits that are made at noise levels of their own, at least
 FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
+PHASES, AMPLITUDES = 12, (1.0, 2.0, 4.0)  # of a ripple in each record; of its one-step estimate
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 FEW_SENSORS = 2
 LEFT = np.sqrt(3.0)  # standard deviations of its prior at which a parameter leaves its tolerance
@@ -162,6 +163,26 @@ def start(model: Model, signature: Signature) -> tuple[Unknowns, list[np.ndarray
     return unknowns, guesses
 
 
+def _all_round(model: Model, unknowns: Unknowns, guess: np.ndarray) -> list[np.ndarray]:
+    """Guesses of the last term, a periodic one, with the likeliest of PHASES phases in each record, for several amplitudes.
+
+    A filter whose noise has taken in a large ripple halves its one-step estimate and turns it, and likelihoods over a phase have
+    more than one peak.
+    """
+    own, found = unknowns.places[-1].start, []
+    amplitude = float(np.hypot(*guess[own : own + 2]))
+    phases = 2.0 * np.pi / PHASES * np.arange(PHASES)
+    for share in AMPLITUDES:
+        z = np.tile(np.concatenate([model.fit.z, np.zeros(len(guess) - own)]), (PHASES, 1))
+        z[:, own : own + 2] = share * amplitude * np.column_stack([np.cos(phases), np.sin(phases)])
+        tried = _evaluate(model.predictor, unknowns, list(z), model.fit.jacobian)
+        squares = np.nan_to_num([[np.sum(e**2) for e in f.errors] for f in tried], nan=np.inf)
+        best = squares.argmin(axis=0)
+        z[best[0], own + 2 :] = phases[best[1:]] - phases[best[0]]
+        found.append(unknowns.clip(z[best[0]]))
+    return found
+
+
 def refits(model: Model, found: Sequence[Score], sizes: np.ndarray) -> list[tuple[Model, Score]]:
     """The model with the effect of each score added, best first: fitted, the more promising ones at noise levels of their own."""
     quick = [(*_refit(model, score, sizes), score) for score in found]
@@ -186,6 +207,8 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
     best: Fit | None = None
     for signature in candidates(model, score, sizes):
         unknowns, guesses = start(model, signature)
+        if signature.variant.phase:
+            guesses += _all_round(model, unknowns, guesses[0])
         J = model.fit.jacobian  # stands in until the fit makes its own
         tried = min(_evaluate(model.predictor, unknowns, guesses, J), key=lambda f: f.cost)
         if best is None or tried.cost < best.cost:

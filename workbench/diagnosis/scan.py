@@ -3,9 +3,11 @@
     b(z) = sum_k phi_k lambda_k,   lambda_k = g_k' mu_{k+1},   mu_k = -H'W'e_k + (F (I - K H))' mu_{k+1}
 
 One backward pass gives the push lambda that the errors ask for; its Fourier sums over an angle or over time are the scores of all
-orders and frequencies at once. Their scale comes from the response at some of them.
+orders and frequencies at once. Their scale comes from the response at some of them. g is what the effect itself does in a sample,
+of order 0: where masses are coupled a force on one moves them all.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -69,19 +71,32 @@ def _backward(F, H, K, g, e, out):
             mu[j] = total
 
 
-def latent_push(predictor: Predictor, fit: Fit, entry: str, i: int) -> np.ndarray:
-    """lambda (N,) of one entry state in record i: the gradient of half the squared errors over a push at each sample."""
+def pushes(predictor: Predictor, fit: Fit, shape: int, sizes: np.ndarray) -> list[np.ndarray]:
+    """g (N, n) by record: what a small periodic effect does in each sample to what the filter carries, where it does not swing.
+
+    shape: the slot of its order or frequency. sizes (ne): a small size of each effect.
+    """
+    slots, found = predictor.plant.slots, []
+    size = next(j for j, slot in enumerate(slots) if slot.key == slots[shape].key and not slot.parameter.shape)
+    for i, eta in enumerate(fit.point.eta):
+        still = eta.copy()
+        still[shape], still[size] = 0.0, sizes[size]
+        found.append(predictor.moved(i, still))
+    return found
+
+
+def latent_push(predictor: Predictor, fit: Fit, g: np.ndarray, i: int) -> np.ndarray:
+    """lambda (N,) in record i: the gradient of half the squared errors over a push g (N, n) at each sample."""
     line, gain = predictor.lines[i], predictor.passes[i].gain
     e = np.einsum("kij,ki->kj", predictor.passes[i].whitening, fit.errors[i])
     out = np.empty(len(e))
-    g = line.G[:, :, predictor.entries.index(entry)]
     F, H, gain, g, e = (np.ascontiguousarray(a) for a in (line.F, line.H, gain, g, e))
     _backward(F, H, gain, g, e, out)
     return out
 
 
-def scan_orders(predictor: Predictor, fit: Fit, entry: str, place: str, orders: np.ndarray) -> Scan | None:
-    """The order n of cos(n angle), sin(n angle) at a place that explains most, phases free in every record.
+def scan_orders(predictor: Predictor, fit: Fit, moves: Sequence[np.ndarray], place: str, orders: np.ndarray) -> Scan | None:
+    """The order n of cos(n angle), sin(n angle) at a place that explains most, phases free in every record; moves: see `pushes`.
 
     Of the orders that some record repeats; None where it repeats none: an arm that swings by a part of a turn. Slower ones are
     looked at beside them, so that the flank of what is slower is no peak.
@@ -94,7 +109,8 @@ def scan_orders(predictor: Predictor, fit: Fit, entry: str, place: str, orders: 
     sought = orders * turns >= REPEATS
     if not sought.any():
         return None
-    found = _scan(predictor, fit, entry, [_over_samples(a, orders) for a in angles], orders, int(sought.sum()))
+    waves = [_over_samples(a, orders) for a in angles]
+    found = _scan(predictor, fit, moves, waves, orders, int(sought.sum()))
     return replace(found, sought=sought)
 
 
@@ -110,8 +126,11 @@ def _over_samples(angle: np.ndarray, orders: np.ndarray) -> np.ndarray:
     return np.exp(1j * np.outer(angle + 0.5 * turn, orders)) * np.sinc(np.outer(turn, orders) / (2 * np.pi))
 
 
-def scan_frequencies(predictor: Predictor, fit: Fit, entry: str) -> Scan:
-    """The frequency f [Hz] of cos(2 pi f t), sin(2 pi f t) that explains most; those of which a record holds four turns."""
+def scan_frequencies(predictor: Predictor, fit: Fit, moves: Sequence[np.ndarray]) -> Scan:
+    """The frequency f [Hz] of cos(2 pi f t), sin(2 pi f t) that explains most; those of which a record holds four turns.
+
+    moves: see `pushes`.
+    """
     dt = predictor.plant.dt
     N = max(len(r) for r in predictor.records)
     size = 1 << int(np.ceil(np.log2(4 * N)))  # four times finer than the records resolve
@@ -119,27 +138,26 @@ def scan_frequencies(predictor: Predictor, fit: Fit, entry: str) -> Scan:
     keep = (values * N * dt > 4.0) & (values < 0.45 / dt)
     total = np.zeros(len(values))
     probes = np.geomspace(values[keep][0], values[keep][-1], PROBES)
-    for i, r in enumerate(predictor.records):
-        spectrum = np.abs(np.fft.rfft(latent_push(predictor, fit, entry, i), size)) ** 2
+    for i, (r, g) in enumerate(zip(predictor.records, moves, strict=True)):
+        spectrum = np.abs(np.fft.rfft(latent_push(predictor, fit, g, i), size)) ** 2
         time = dt * np.arange(len(r))
-        scale = _information(predictor, entry, i, np.exp(2j * np.pi * np.outer(time, probes)))
+        scale = _information(predictor, g, i, np.exp(2j * np.pi * np.outer(time, probes)))
         total += spectrum / np.exp(np.interp(np.log(np.maximum(values, 1e-9)), np.log(probes), np.log(scale)))
     return Scan(max(1, int(keep.sum()) // 4), values[keep], total[keep])
 
 
-def _scan(predictor: Predictor, fit: Fit, entry: str, waves, values: np.ndarray, tries: int) -> Scan:
+def _scan(predictor: Predictor, fit: Fit, moves: Sequence[np.ndarray], waves, values: np.ndarray, tries: int) -> Scan:
     total = np.zeros(len(values))
-    for i, wave in enumerate(waves):
-        push = latent_push(predictor, fit, entry, i)
-        total += np.abs(push @ wave) ** 2 / _information(predictor, entry, i, wave)
+    for i, (g, wave) in enumerate(zip(moves, waves, strict=True)):
+        total += np.abs(latent_push(predictor, fit, g, i) @ wave) ** 2 / _information(predictor, g, i, wave)
     return Scan(tries, values, np.nan_to_num(total, nan=0.0, posinf=0.0))  # where a filter loses a record, nothing shows
 
 
-def _information(predictor: Predictor, entry: str, i: int, waves: np.ndarray) -> np.ndarray:
+def _information(predictor: Predictor, g: np.ndarray, i: int, waves: np.ndarray) -> np.ndarray:
     """Half the squared response of the errors to the real and imaginary parts of waves (N, c): the scale of |score|^2."""
     line = predictor.lines[i]
     parts = np.concatenate([np.real(waves), np.imag(waves)], axis=1)
-    push = line.G[:, :, predictor.entries.index(entry)][:, :, None] * parts[:, None, :]
+    push = g[:, :, None] * parts[:, None, :]
     white = np.einsum("kij,kjc->kic", predictor.passes[i].whitening, response(line, predictor.passes[i].gain, push))
     squares = (white**2).sum(axis=(0, 1))
     return np.maximum(0.5 * (squares[: waves.shape[1]] + squares[waves.shape[1] :]), 1e-300)

@@ -19,7 +19,7 @@ from scipy.stats import gamma, gumbel_r
 from workbench.diagnosis.fit import Fit
 from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Point, Predictor
-from workbench.diagnosis.scan import Scan, scan_frequencies, scan_orders
+from workbench.diagnosis.scan import Scan, pushes, scan_frequencies, scan_orders
 from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
 from workbench.physics.parameters import Slot
 from workbench.physics.plant import Plant
@@ -34,6 +34,11 @@ RAN_AWAY = 1e6  # standard deviations
 FEW = 12  # blocks, below which flipping signs gives no distribution
 SIGNIFICANT = 0.01  # family-wise
 SHOWN = 5.0  # standard deviations at which an effect counts as shown
+
+
+def is_level(key: str) -> bool:
+    """Whether the size of an effect is a level that is met or not: the limit of an actuator."""
+    return key.startswith("saturation@")
 
 
 @record
@@ -69,8 +74,8 @@ class Signature:
 
     @property
     def is_level(self) -> bool:
-        """Whether the size is a level that is met or not, the limit of an actuator: it is tried as it is."""
-        return self.variant.key.startswith("saturation@")
+        """Whether the size is a level that is met or not: it is tried as it is."""
+        return is_level(self.variant.key)
 
     @property
     def responds(self) -> bool:
@@ -114,9 +119,10 @@ class Score:
     p_family: float
 
 
-def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Variant]:
+def variants(predictor: Predictor, fit: Fit, keys: Sequence[str], sizes: np.ndarray) -> list[Variant]:
     """Every way to try the effects `keys`: their shapes' grids one at a time, and each finite size of irregular ones.
 
+    sizes (ne): a small size of each effect; see `small_sizes`.
     Of the orders and frequencies of a periodic effect only the most likely one is tried; see `scan`.
     """
     plant, found = predictor.plant, []
@@ -124,13 +130,13 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
     for key in keys:
         own = [i for i, slot in enumerate(plant.slots) if slot.key == key]
         effect = plant.slots[own[0]].effect
-        sizes = tuple(i for i in own if not plant.slots[i].parameter.shape)
+        levels = tuple(i for i in own if not plant.slots[i].parameter.shape)
         shapes = [i for i in own if plant.slots[i].parameter.shape]
         if effect.phase and shapes:
             (shape,) = shapes
-            scan = _periodic(predictor, fit, shape)
+            scan = _periodic(predictor, fit, shape, sizes)
             if scan is not None:
-                found += [Variant(key, sizes, ((shape, value),), np.nan, True, scan.tries) for value in scan.peaks]
+                found += [Variant(key, levels, ((shape, value),), np.nan, True, scan.tries) for value in scan.peaks]
             continue
         grids, middle = [], {i: _middle(plant.slots[i], units) for i in shapes}
         for i in shapes:
@@ -147,7 +153,7 @@ def variants(predictor: Predictor, fit: Fit, keys: Sequence[str]) -> list[Varian
         if effect.grid:  # of an irregular effect the sizes are tried, a refit finds the shapes
             grids = [[(i, middle[i])] for i in shapes]
         for chosen in _one_at_a_time(grids, middle):
-            found += [Variant(key, sizes, chosen, g, effect.phase) for g in finite if g > 0.0 or np.isnan(g)]
+            found += [Variant(key, levels, chosen, g, effect.phase) for g in finite if g > 0.0 or np.isnan(g)]
     return found
 
 
@@ -169,15 +175,12 @@ def _periods(q: EffectParameter, length: float) -> list[float]:
     return [1.0 / f for f in np.arange(1.0 / q.grid[-1], 1.0 / q.grid[0] * (1.0 + 1e-9), 0.5 / length)]
 
 
-def _periodic(predictor: Predictor, fit: Fit, shape: int) -> Scan | None:
-    """The most likely order or frequency of a periodic effect, None where its place has no entry of its own."""
-    plant, slot = predictor.plant, predictor.plant.slots[shape]
-    entry = plant.argument(slot.place)
-    if entry not in predictor.entries:
-        return None
+def _periodic(predictor: Predictor, fit: Fit, shape: int, sizes: np.ndarray) -> Scan | None:
+    """The most likely orders or frequencies of a periodic effect, None where no record repeats one."""
+    slot, moves = predictor.plant.slots[shape], pushes(predictor, fit, shape, sizes)
     if slot.parameter.unit == PER_TURN:
-        return scan_orders(predictor, fit, entry, slot.place, np.array(slot.parameter.grid))
-    return scan_frequencies(predictor, fit, entry)
+        return scan_orders(predictor, fit, moves, slot.place, np.array(slot.parameter.grid))
+    return scan_frequencies(predictor, fit, moves)
 
 
 def _one_at_a_time(grids: Sequence[list[tuple[int, float]]], middle: dict[int, float]) -> list[tuple[tuple[int, float], ...]]:
@@ -324,7 +327,8 @@ def small_sizes(predictor: Predictor, fit: Fit) -> np.ndarray:
     """For every size of every effect (ne) a step that changes the whitened errors by about `WANTED`, whatever its unit.
 
     The change is that of all records together: an effect may show in one of them only. Where nothing changes, the step is the
-    first one: of an irregular effect a small share of the least size that is tried.
+    first one: of an irregular effect a small share of the least size that is tried. So it is for a level: the lower it is, the
+    more it changes.
     """
     plant, at = predictor.plant, fit.point.eta.copy()
     fitted, units = {t.key for t in fit.unknowns.terms}, shape_units(predictor, fit.point)
@@ -334,7 +338,7 @@ def small_sizes(predictor: Predictor, fit: Fit) -> np.ndarray:
         if not q.shape:
             tried = [g * _unit(plant, predictor, effect.grid_unit, slot.place) for g in effect.grid]
             sizes[i] = min(LEAST if effect.regular else LEAST * min(tried), 0.5 * q.high)
-            unknown.append(i)
+            unknown += [] if is_level(slot.key) else [i]
         elif slot.key not in fitted:
             at[:, i] = _middle(slot, units)
     first = sizes.copy()

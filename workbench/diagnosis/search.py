@@ -144,7 +144,7 @@ class Search:
 
 def screen_effects(model: Model, keys: Sequence[str], sizes: np.ndarray, *, columns: bool = False) -> list[Score]:
     """Score tests of the effects `keys` that the channels of the records could show."""
-    tried = variants(model.predictor, model.fit, [k for k in keys if measurable(model, k)])
+    tried = variants(model.predictor, model.fit, [k for k in keys if measurable(model, k)], sizes)
     felt = [v for v in tried if not np.isnan(v.finite) or all(sizes[s] > 0.0 for s in v.sizes)]
     return scores(signatures(model.predictor, model.fit, felt, sizes, columns=columns))
 

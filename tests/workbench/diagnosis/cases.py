@@ -139,6 +139,6 @@ def keys_of(model: Model) -> list[str]:
 def screened(model: Model, keys=None) -> list[Score]:
     """The scores of the catalogue (or of some effects) beside a model."""
     sizes = small_sizes(model.predictor, model.fit)
-    tried = variants(model.predictor, model.fit, keys or keys_of(model))
+    tried = variants(model.predictor, model.fit, keys or keys_of(model), sizes)
     tried = [v for v in tried if not np.isnan(v.finite) or all(sizes[s] > 0.0 for s in v.sizes)]
     return scores(signatures(model.predictor, model.fit, tried, sizes))

@@ -78,7 +78,8 @@ def test_limits_of_a_stable_machine_stand(drive):
 def test_a_limit_that_an_effect_of_its_size_does_not_bear_out_is_not_stated(drive):
     made, fit = drive.predictor, drive.fit
     keys = ["offset@U", "sensor-lag@n"]
-    tried = signatures(made, fit, variants(made, fit, keys), small_sizes(made, fit))
+    sizes = small_sizes(made, fit)
+    tried = signatures(made, fit, variants(made, fit, keys, sizes), sizes)
     (offset,) = (s for s in tried if s.variant.key == keys[0])
     (right,) = holding(made, fit, [offset])
     assert right.limit == offset.limit

@@ -10,14 +10,27 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from tests.strangers.two_mass import PLANT as PLAY
-from tests.workbench.diagnosis.cases import AXIS, axis_predictor, axis_records, fitted, noise, refitted, steps, with_effect
+from tests.workbench.diagnosis.cases import (
+    AXIS,
+    axis_predictor,
+    axis_records,
+    fitted,
+    keys_of,
+    noise,
+    refitted,
+    robot_records,
+    steps,
+    with_effect,
+)
 from workbench.data import Channel, Dataset
 from workbench.diagnosis.fit import Term, gauss_newton, jacobian, sharpened, small_steps, term
 from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Noise, predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
+from workbench.diagnosis.screen import small_sizes, variants
 from workbench.physics.controller import Playback
 from workbench.physics.effects import Slide
+from workbench.physics.effects.effect import GridUnit
 from workbench.physics.parameters import Parameter
 from workbench.physics.plant import Plant
 from workbench.simulation import Scenario, simulate
@@ -253,3 +266,27 @@ def test_directions_without_information_stay_finite_and_leave_the_others_alone()
     units = np.array([1e-6, 1.0, 1e8])  # of any size
     J = np.random.default_rng(0).standard_normal((5, 3))
     np.testing.assert_allclose(inverse((J * units).T @ (J * units)) * np.outer(units, units), np.linalg.inv(J.T @ J), rtol=1e-9)
+
+
+@pytest.mark.parametrize("records", [axis_records, robot_records])
+def test_every_effect_at_a_size_has_the_slopes_that_the_errors_show(records):
+    """The step to the limit of an amplifier was 1e-24 of its unit, its slopes 0, and no limit was ever fitted."""
+    model = fitted(records(3))
+    made, plant = model.predictor, model.predictor.plant
+    sizes = small_sizes(made, model.fit)
+    # a rounded reading is told by its values, not by a fit
+    every = variants(made, model.fit, keys_of(model), sizes)[::-1]  # of each the first: no gain follows what rings for long
+    tried = {v.key: v for v in every if not v.key.startswith("quantisation")}
+    assert len(tried) > 15
+    for key, v in tried.items():
+        own, z, _ = with_effect(model, key, [5.0 * sizes[s] if np.isnan(v.finite) else v.finite for s in v.sizes])
+        base = own.base.copy()
+        for i, shape in v.shapes:
+            if plant.slots[i].parameter.grid_unit is GridUnit.RECORD:  # what sets in does so within the record
+                base[i] = shape
+        own = replace(own, base=base)
+        fitted_by, other = (jacobian(made, own, z, step)[1] for step in (sizes, 10.0 * small_steps(own, z)))
+        for j in range(own.places[0].start - own.size, 0):
+            found, expected = (np.concatenate([J[:, j] for J in Js]) for Js in (fitted_by, other))
+            assert np.linalg.norm(expected) > 0.0
+            assert np.linalg.norm(found - expected) < 0.15 * np.linalg.norm(expected), (key, j, plant.name)

@@ -78,7 +78,7 @@ def left_by(A, e):
 @pytest.mark.parametrize("key", ["offset@F", "imbalance@slide", "sensor-gain@q", "asymmetric-friction@slide", "heating@F"])
 def test_statistic_and_size_are_those_of_a_least_squares_fit_with_all_columns(unfinished, key):
     sizes = small_sizes(unfinished.predictor, unfinished.fit)
-    for variant in variants(unfinished.predictor, unfinished.fit, [key])[:2]:
+    for variant in variants(unfinished.predictor, unfinished.fit, [key], sizes)[:2]:
         (s,) = signatures(unfinished.predictor, unfinished.fit, [variant], sizes, columns=True)
         G = columns_of(unfinished, variant, sizes)
         A, e = normal_system(unfinished)
@@ -98,9 +98,9 @@ def test_statistic_and_size_are_those_of_a_least_squares_fit_with_all_columns(un
 
 def test_a_finite_size_is_one_column_and_a_phase_has_its_own_in_every_record(unfinished):
     sizes = small_sizes(unfinished.predictor, unfinished.fit)
-    delay = variants(unfinished.predictor, unfinished.fit, ["input-delay@F"])
+    delay = variants(unfinished.predictor, unfinished.fit, ["input-delay@F"], sizes)
     assert [v.finite for v in delay] == pytest.approx([0.25 * AXIS.dt, 0.5 * AXIS.dt, AXIS.dt, 2 * AXIS.dt])
-    wobble = variants(unfinished.predictor, unfinished.fit, ["imbalance@slide"])
+    wobble = variants(unfinished.predictor, unfinished.fit, ["imbalance@slide"], sizes)
     assert [len(s.b) for s in signatures(unfinished.predictor, unfinished.fit, [*delay, *wobble], sizes)] == [1, 1, 1, 1, 6]
 
 
@@ -181,7 +181,7 @@ def test_what_acts_alike_is_alike_and_what_does_not_is_not():
     model = fitted(robot_records(1, samples=600))
     sizes = small_sizes(model.predictor, model.fit)
     keys = ["offset@u", "rail-tilt@rail", "imbalance@rail", "sensor-lag@v"]
-    tried = [variants(model.predictor, model.fit, [key])[0] for key in keys]
+    tried = [variants(model.predictor, model.fit, [key], sizes)[0] for key in keys]
     made = signatures(model.predictor, model.fit, tried, sizes, columns=True)
     shared = similarity(made)
     np.testing.assert_allclose(shared, shared.T)
@@ -196,7 +196,8 @@ def test_what_acts_alike_is_alike_and_what_does_not_is_not():
 
 def test_every_effect_of_the_catalogue_is_tried_and_scored():
     model = fitted(robot_records(2))
-    assert {v.key for v in variants(model.predictor, model.fit, keys_of(model))} == {s.key for s in ROBOT.slots}
+    tried = variants(model.predictor, model.fit, keys_of(model), small_sizes(model.predictor, model.fit))
+    assert {v.key for v in tried} == {s.key for s in ROBOT.slots}
 
 
 def test_scores_of_nothing_are_none():
