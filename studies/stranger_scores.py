@@ -20,6 +20,7 @@ Row = Mapping[str, Any]
 
 HORIZONS = ("one-step", "one-second", "full-run")
 NOISE = 0.02  # share by which an error may grow that nobody calls worse
+UNSTABLE = "free runs are compared up to"  # in an answer's note: of an unstable machine
 
 
 class Outcome(Enum):
@@ -90,9 +91,12 @@ def ratios(row: Row) -> dict[str, float]:
 
 
 def worse(row: Row) -> list[str]:
-    """The horizons at which what is handed out is worse than what was given, one second ahead or over the full run."""
-    found = ratios(row)
-    return [h for h in HORIZONS[1:] if found.get(h, 0.0) > 1.0 + NOISE]
+    """The horizons at which what is handed out is worse than what was given, one second ahead or over the full run.
+
+    Of an unstable machine, where the answer says that its full runs leave the records and are not compared: a second ahead.
+    """
+    found, compared = ratios(row), HORIZONS[1:2] if any(UNSTABLE in note for note in row.get("notes", ())) else HORIZONS[1:]
+    return [h for h in compared if found.get(h, 0.0) > 1.0 + NOISE]
 
 
 def summary(rows: Iterable[Row]) -> Summary:

@@ -97,6 +97,10 @@ def test_errors_are_compared_over_records_and_channels_and_runs_that_did_not_las
     errors = {"one-second": {"r, a": [1.0, 2.0], "s, a": [2.0, 1.0]}, "full-run": {"r, a": [1.0, None], "s, a": [1.0, 1.1]}}
     assert ratios(row(errors=errors)) == pytest.approx({"one-second": 1.0, "full-run": 1.1})
     assert worse(row(errors=errors)) == ["full-run"]
+    said = "cart is unstable, what is off grows e-fold in 0.2 s: free runs are compared up to 1 s ahead"
+    assert worse(row(errors=errors, notes=[said])) == []
+    errors["one-second"] = {"r, a": [1.0, 1.1]}
+    assert worse(row(errors=errors, notes=[said])) == ["one-second"]
 
 
 # ---- cases that end without an answer --------------------------------------------------------------------------------------

@@ -121,11 +121,12 @@ def only_together(base: Model, steps: Sequence[Step]) -> bool:
 
 
 def doubts_of(steps: Sequence[Step], against: Mapping[str, str]) -> dict[str, str]:
-    """What speaks against each cause, empty where nothing does: also that it was found beside one that is not sure."""
-    doubts, unsure = {}, ""
-    for s in sorted(steps, key=lambda s: -s.gain):
-        doubts[s.key] = against[s.key] or (f"it was found beside {unsure}, which is not sure" if unsure else "")
-        unsure = unsure or (s.key if against[s.key] else "")
+    """What speaks against each cause, empty where nothing does: also one that is not sure, found before it or worth more."""
+    doubts = dict(against)
+    for j, s in enumerate(steps):
+        beside = [o.key for i, o in enumerate(steps) if against[o.key] and (i < j or o.gain > s.gain)]
+        if beside and not against[s.key]:
+            doubts[s.key] = f"it was found beside {beside[0]}, which is not sure"
     return doubts
 
 

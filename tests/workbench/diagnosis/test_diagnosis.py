@@ -266,9 +266,12 @@ def test_what_speaks_against_a_cause_of_an_incomplete_answer_is_said(stable, bey
 
 
 def test_what_was_found_beside_a_cause_that_is_not_sure_is_none_the_more_sure():
-    steps = [SimpleNamespace(key=key, gain=gain) for key, gain in (("a@x", 40.0), ("b@x", 700.0), ("c@x", 900.0))]
-    doubts = causes.doubts_of(steps, {"a@x": "", "b@x": "it raises an error", "c@x": ""})
-    assert doubts == {"a@x": "it was found beside b@x, which is not sure", "b@x": "it raises an error", "c@x": ""}
+    """A tank whose bottom is blunt: a sensor's curvature that may as well be the equation's, and an offset of the pump on top."""
+    names = ("first@x", "small@x", "doubted@x", "later@x")
+    steps = [SimpleNamespace(key=key, gain=gain) for key, gain in zip(names, (900.0, 40.0, 700.0, 800.0), strict=True)]
+    doubts = causes.doubts_of(steps, dict.fromkeys(names, "") | {"doubted@x": "it raises an error"})
+    beside = "it was found beside doubted@x, which is not sure"
+    assert doubts == {"first@x": "", "small@x": beside, "doubted@x": "it raises an error", "later@x": beside}
 
 
 @pytest.mark.parametrize(("gap", "said"), [(-11.0, "explains these records better"), (-9.0, "do not tell the two apart")])
