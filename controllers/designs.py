@@ -8,6 +8,7 @@ Before it is handed out the controller runs its loop once, on the plant where on
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,12 @@ from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.frozen import Bounds
-from workbench.verification.trial import tried
+from workbench.verification.trial import OVERSHOOT, Trial, tried
 
 Numbers = Mapping[str, float]
 Say = Callable[[str], None]
+
+WEIGHTS = (1.0, 0.7, 0.4, 0.0)  # of set-points, from brisk to calm
 
 
 @record
@@ -35,7 +38,9 @@ class ScheduledPIDDesign:
     values with gains of their own, their number or the values, of several schedule variables for all or for each (see
     `design_pid`); 1 is a fixed PID. low, high, rate [1/s]: limits of commands by input. setpoint: the usual one by output, which
     is held without the integral. filter [s]: of the derivative, default two samples. setpoint_weight: share of the set-point in
-    the proportional part. robust_to: models that must be kept too.
+    the proportional part. feedforward: whether a new set-point commands at once what holds it. Where neither is said, `on` takes
+    the briskest pair of them that overshoots no step of its run by more than a fifth, else the calmest; margins are the same with
+    all. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
         array([[0.32]])
@@ -51,21 +56,26 @@ class ScheduledPIDDesign:
     setpoint: Numbers = field(default_factory=dict)
     derivative: bool = True
     filter: float | None = None
-    setpoint_weight: float = field("", low=0.0, high=1.0, default=1.0)
-    feedforward: bool = True
+    setpoint_weight: float | None = None
+    feedforward: bool | None = None
     robust_to: tuple[LPVModel, ...] = ()
 
     def __post_init__(self):
         if self.filter is not None and not 0.0 <= self.filter < np.inf:
             raise InputError(f"filter {self.filter:g}", mend="the time constant of the derivative's filter in s, 0 for none")
+        if self.setpoint_weight is not None and not 0.0 <= self.setpoint_weight <= 1.0:
+            mend = "the share of the set-point in the proportional part, 0 to 1"
+            raise InputError(f"setpoint_weight {self.setpoint_weight:g}", mend=mend)
 
     def design(self, model: LPVModel, progress: Say = lambda _: None) -> PIDDesign:
-        """The controller with its margins at every schedule value. Raises InputError where none keeps the bounds."""
+        """The controller with its margins at every schedule value, as brisk as its set-points may be; see `calmed`.
+
+        Raises InputError where none keeps the bounds.
+        """
         _check_model(model)
         limits = command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model)
-        structure = Structure(
-            derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
-        )  # fmt: skip
+        b, feedforward = self._answers_to_setpoints()[0]
+        structure = Structure(derivative=self.derivative, Tf=self.filter, b=b, feedforward=feedforward, **limits)
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
         return design_pid(
             model, knots=self.knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
@@ -76,7 +86,31 @@ class ScheduledPIDDesign:
         """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
         and nobody accepts it all the same.
         """
-        return _after_trial(self.design(model).law, model, plant, setpoint_of(self.setpoint, model), accept)
+        found, trial = self.calmed(self.design(model), model, plant)
+        return _handed_out(found.law, trial, accept)
+
+    def calmed(self, found: PIDDesign, model: LPVModel, plant: Plant | None = None) -> tuple[PIDDesign, Trial]:
+        """The design with the briskest answer to set-points that overshoots none of its run by more than OVERSHOOT, else the
+        calmest; and that run. What is said of weight and feedforward stays.
+        """
+        usual = setpoint_of(self.setpoint, model)
+        held = model.operating_point.basis(np.asarray(found.knots)) @ model.operating_point.y if usual is None else usual
+        best = found, tried(found.law, model, plant, usual)
+        for b, feedforward in self._answers_to_setpoints()[1:]:
+            if best[1].lost or best[1].overshoot <= OVERSHOOT:
+                break
+            law = found.law.weighted(b, np.asarray(held), feedforward=feedforward)
+            trial = tried(law, model, plant, usual)
+            if not trial.lost and trial.overshoot < best[1].overshoot:
+                best = replace(found, law=law), trial
+        return best
+
+    def _answers_to_setpoints(self) -> list[tuple[float, bool]]:
+        """Weights and feedforward that may be taken, from brisk to calm."""
+        weights = WEIGHTS if self.setpoint_weight is None else (self.setpoint_weight,)
+        both = self.feedforward is None and self.setpoint_weight is None
+        forward = (True, False) if both else (self.feedforward is not False,)
+        return [(b, own) for own in forward for b in weights]
 
 
 @record
@@ -120,7 +154,7 @@ class MPCDesign:
             y_high=by_channel("output", highest, model.outputs, model.name, np.inf),
             **command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model, fallback),
         )  # fmt: skip
-        return _after_trial(law, model, plant, setpoint_of(self.setpoint, model), accept)
+        return _handed_out(law, tried(law, model, plant, setpoint_of(self.setpoint, model)), accept)
 
 
 def _check_model(model: Any) -> None:
@@ -165,9 +199,8 @@ def setpoint_of(given: Numbers, model: LPVModel) -> list[float] | None:
     return values.tolist()
 
 
-def _after_trial(law: Any, model: LPVModel, plant: Plant | None, setpoint: list[float] | None, accept: bool) -> Any:
-    """The controller, unless one run of its loop is lost."""
-    trial = tried(law, model, plant, setpoint)
+def _handed_out(law: Any, trial: Trial, accept: bool) -> Any:
+    """The controller, unless the run of its loop is lost."""
     if trial.lost and not accept:
         raise NotHandedOutError(f"{law.name} is not handed out: {trial.sentence}", mend="accept=True takes it all the same")
     return law

@@ -189,14 +189,19 @@ class ScheduledPID:
         """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1, without Kr."""
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
 
-    def weighted(self, b: np.ndarray | float, at: np.ndarray) -> "ScheduledPID":
-        """The law with set-point weights b (ny,) that commands the same as before where r = y = at.
+    def weighted(self, b: np.ndarray | float, at: np.ndarray, *, feedforward: bool = True) -> "ScheduledPID":
+        """The law with set-point weights b (ny,), without Kr where feedforward is not wanted, that commands the same as before
+        where r = y = at: (ny,), or (m, ny) with a row for each basis function.
 
-        Kp(rho) (b - 1) r is a command that the integral has to make up for, and that moves with the schedule: u0 takes it away at
-        the usual set-point.
+        Kp(rho) (b - 1) r and Kr(rho) r are commands that the integral would have to make up for, and that move with the schedule:
+        u0 takes them away at the usual set-point.
         """
         after = np.broadcast_to(np.asarray(b, dtype=float), self.b.shape)
-        return replace(self, b=after, u0=self.u0 + self.Kp @ ((self.b - after) * at))
+        lost = self.Kp * (self.b - after) + (0.0 if feedforward else self.Kr)
+        at = np.broadcast_to(at, (len(lost), len(after)))
+        return replace(
+            self, b=after, Kr=self.Kr if feedforward else np.zeros_like(self.Kr), u0=self.u0 + np.einsum("iuy,iy->iu", lost, at)
+        )
 
     # ---- files ----------------------------------------------------------------------------------------------------------
 

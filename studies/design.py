@@ -31,7 +31,7 @@ from workbench.readers import read_file
 from workbench.report.blocks import Report, Section
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
-from workbench.verification.trial import Trial, tried
+from workbench.verification.trial import OVERSHOOT, Trial, tried
 
 Say = Callable[[str], None]
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
@@ -51,8 +51,11 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
 def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
     chosen = choose_plant(options.plant) if options.plant else None
-    found = _tuned(options, kind, model, progress)
-    code, trial = _tried(options, found.law, model, chosen, say, progress)
+    wanted = _wanted(options, kind, model)
+    found = wanted.design(model, progress)
+    progress("one run of the loop")
+    found, trial = wanted.calmed(found, model, chosen.plant if chosen else None)
+    code = _told(options, trial, model, say)
     bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]
     folder = run_folder(options.out, "design")
     path = save_controller(found.law, folder / f"{kind}.json") if code == DONE else None
@@ -63,6 +66,8 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
         over = worst_margins(found.law, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
+    if said := _setpoints_said(options, found.law, trial):
+        say(said)
     _say_limits(found.law, model, say)
     _say_held(found.law, model, _setpoint(options.setpoint, model), say)
     if path:
@@ -81,19 +86,15 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     return _finished(options, folder, path, result, read, say) or code
 
 
-def _tried(
-    options: Namespace, law: Any, model: LPVModel, chosen: Chosen | None, say: Say, progress: Say
-) -> tuple[int, Trial]:  # fmt: skip
-    """Whether the law is handed out after one run, and what that said; before anything else is."""
-    progress("one run of the loop")
-    trial = tried(law, model, chosen.plant if chosen else None, _setpoint(options.setpoint, model))
+def _told(options: Namespace, trial: Trial, model: LPVModel, say: Say) -> int:
+    """Says what a run of the loop said, before anything else is; whether the law is handed out after it."""
     code = handed_out([trial.sentence] if trial.lost else [], options.accept, say)
     say(_described(model))
     if np.any(model.D):
         say("note: its outputs see the command of their own sample, which held commands cannot do: identify --no-feedthrough")
     if not trial.lost:
         say(trial.sentence)
-    return code, trial
+    return code
 
 
 def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
@@ -113,7 +114,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
             raise InputError("not a PID", file=options.fallback, mend="workbench design scheduled-pid, or leave --fallback out")
     else:
         progress("fallback law: scheduled PID")
-        fallback = _tuned(options, "scheduled-pid" if model.schedules else "pid", model, progress).law
+        fallback = _wanted(options, "scheduled-pid" if model.schedules else "pid", model).design(model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
     common = {"horizon": options.horizon, "weights": weights, **limits}
     if chosen and kind == "nmpc":
@@ -123,7 +124,9 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     else:
         law = design_mpc(model, fallback, errors=errors, **common)
         said = f"MPC, disturbances at the {'inputs' if law.observer.at_inputs else 'outputs'}"
-    code, trial = _tried(options, law, model, chosen, say, progress)
+    progress("one run of the loop")
+    trial = tried(law, model, chosen.plant if chosen else None, _setpoint(options.setpoint, model))
+    code = _told(options, trial, model, say)
     folder = run_folder(options.out, "design")
     path = save_controller(law, folder / f"{kind}.json") if code == DONE else None
     say(f"{said}, over {law.horizon} samples ({law.horizon * law.dt:g} s)")
@@ -189,19 +192,18 @@ def _finished(options: Namespace, folder: Path, path: Path | None, result: dict,
     return 0
 
 
-def _tuned(options: Namespace, kind: str, model: LPVModel, progress: Say) -> PIDDesign:
-    """The PID that the options ask for."""
+def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesign:
+    """The design of the PID that the options ask for."""
     for name in ("sensitivity", "complementary", "effort"):
         if not getattr(options, name) > 1.0:
             usual = "3 and more are" if name == "effort" else "1.2 to 2 is"
             raise InputError(f"--{name} {getattr(options, name):g}", mend=f"no loop does with 1 or less; {usual} usual")
-    design = ScheduledPIDDesign(
+    return ScheduledPIDDesign(
         options.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
-        filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
+        filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=False if options.no_feedforward else None,
         robust_to=tuple(load_model(path) for path in options.robust_to),
     )  # fmt: skip
-    return design.design(model, progress)
 
 
 def _given(texts: list[str]) -> dict[str, float]:
@@ -226,6 +228,15 @@ def _say_limits(law: Any, model: LPVModel, say: Say) -> None:
             say(f"  {c.name} {ends}{f', at most {rate:g} {c.unit}/s' if np.isfinite(rate) else ''}: always")
         else:
             say(f"  {c.name} has no limits: give --low, --high, --rate {c.name}=...")
+
+
+def _setpoints_said(options: Namespace, law: ScheduledPID, trial: Trial) -> str:
+    """What was chosen so that set-points do not overshoot, and what is left to do; empty where nothing was."""
+    if options.setpoint_weight is not None or (law.b.min() == 1.0 and (options.no_feedforward or law.Kr.any())):
+        return ""
+    weight = f"their weight is {law.b.min():g}" + ("" if law.Kr.any() or options.no_feedforward else ", without feedforward")
+    left = "" if trial.overshoot <= OVERSHOOT else "; they still overshoot: ramp them"
+    return f"set-points: {weight}, so that steps overshoot less; --setpoint-weight 1 is as brisk as the margins allow{left}"
 
 
 def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | None, say: Say) -> None:

@@ -129,7 +129,10 @@ def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--filter", type=float, metavar="TF", help="time constant of the derivative filter in s (default 2 samples)")
     sub.add_argument("--no-derivative", action="store_true", help="PI instead of PID")
     sub.add_argument(
-        "--setpoint-weight", type=float, default=1.0, metavar="B", help="share of the set-point in the proportional part"
+        "--setpoint-weight",
+        type=float,
+        metavar="B",
+        help="share of the set-point in the proportional part, 0 to 1 (default: the largest that does not overshoot)",
     )
     sub.add_argument(
         "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"

@@ -4,12 +4,16 @@ import json
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import controllers
 from controllers import MPC, MPCDesign, ScheduledPID, ScheduledPIDDesign, load_controller
 from studies.cli import main
+from workbench.basis import CONSTANT
+from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError
 from workbench.identification.lti import LTI
+from workbench.lpv import OperatingPoint, constant_model
 from workbench.physics.controller import check_controller
 from workbench.sources import read
 from workbench.verification.trial import Trial
@@ -58,6 +62,57 @@ def test_the_bounds_of_a_design_are_kept(model):
     brisk = ScheduledPIDDesign(sensitivity=1.6, effort=20.0).design(model)
     assert calm.margins.sensitivity.max() <= 1.2 + 1e-6
     assert brisk.low_frequency.min() > 1.2 * calm.low_frequency.min()
+
+
+def swinging(zeta, rest=2.0):
+    """1 / (s^2 + 2 zeta s + 1) sampled every 0.1 s, at rest at y = `rest`."""
+    A, B = np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]), np.array([[0.0], [1.0]])
+    both = expm(np.block([[A, B], [np.zeros((1, 3))]]) * 0.1)
+    return constant_model(
+        "swing", 0.1, ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),)),
+        (both[:2, :2], both[:2, 2:], [[1.0, 0.0]], [[0.0]]), OperatingPoint(CONSTANT, [[rest]], [[rest]]),
+    )  # fmt: skip
+
+
+def overshoot(law, zeta, rest=2.0):
+    """Of a step of 1 from rest, with the machine's own integration; the law begins where it holds `rest`."""
+    state = law.init()
+    flow = expm(np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * zeta, 1.0], [0.0, 0.0, 0.0]]) * 0.1)
+    x, highest = np.array([rest, 0.0]), 0.0
+    for k in range(600):
+        u, state = law.step(state, np.array([rest + (k >= 300)]), x[:1], None)
+        if k < 300:
+            assert x[0] == pytest.approx(rest, abs=1e-6)  # nothing but the set-point moves it
+        x = (flow @ [*x, u[0]])[:2]
+        highest = max(highest, x[0] - rest - 1.0)
+    return highest
+
+
+@pytest.mark.parametrize("zeta", [0.15, 0.4, 1.0])
+def test_set_points_overshoot_by_a_fifth_at_most_or_as_little_as_the_margins_allow(zeta):
+    """A design that was as brisk as it could be overshot by 70 % under margins of 1.6."""
+    model, setpoint = swinging(zeta), {"y": 2.0}
+    law = ScheduledPIDDesign(setpoint=setpoint).on(model)
+    brisk = ScheduledPIDDesign(setpoint=setpoint, setpoint_weight=1.0).on(model)
+    calmest = ScheduledPIDDesign(setpoint=setpoint, setpoint_weight=0.0, feedforward=False).on(model)
+    for own in (law, brisk, calmest):  # what answers to set-points is not in the loop
+        for key in ("Kp", "Ki", "Kd"):
+            np.testing.assert_array_equal(getattr(own, key), getattr(brisk, key))
+    over = [overshoot(own, zeta) for own in (law, brisk, calmest)]
+    assert over[0] < 0.21 or over[0] == pytest.approx(over[2], abs=0.01)
+    assert over[0] <= over[1] + 1e-9
+    if over[1] > 0.25:
+        assert over[0] < 0.6 * over[1]
+
+
+def test_what_is_said_of_set_points_stays():
+    model = swinging(0.15)
+    for b, feedforward in ((1.0, True), (0.7, True), (1.0, False)):
+        law = ScheduledPIDDesign(setpoint_weight=b, feedforward=feedforward).on(model)
+        assert law.b.tolist() == [b]
+        assert bool(law.Kr.any()) is feedforward
+    assert not ScheduledPIDDesign(feedforward=False).on(model).Kr.any()
+    assert ScheduledPIDDesign(setpoint_weight=0.7).on(model).Kr.any()
 
 
 def test_a_controller_that_loses_its_loop_is_not_handed_out(model, monkeypatch):

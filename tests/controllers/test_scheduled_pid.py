@@ -155,6 +155,16 @@ def test_other_set_point_weights_command_the_same_at_rest():
         np.testing.assert_allclose(moved[1] - moved[0], Kp @ ((np.array([0.2, 0.9]) - law.b) * (r - at)), atol=1e-12)
 
 
+def test_without_feedforward_the_command_at_rest_is_the_same_at_every_knot():
+    law = replace(scheduled(), Kr=0.3 + np.arange(4.0 * len(scheduled().Kp)).reshape(-1, 2, 2))
+    at = np.array([[3.0, -1.0], [2.0, 0.5], [1.0, 4.0]])[: len(law.Kp)]
+    other = law.weighted((0.2, 0.9), at, feedforward=False)
+    assert not other.Kr.any()
+    for rho, held in zip(law.basis.knots, at, strict=True):
+        same = [one.step(one.init(), held, held, rho)[0] for one in (law, other)]
+        np.testing.assert_allclose(same[0], same[1], atol=1e-12)
+
+
 # ---- bumps ---------------------------------------------------------------------------------------------------------------
 
 

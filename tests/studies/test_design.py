@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -15,7 +16,7 @@ from controllers.pid_design import design_pid
 from controllers.scheduled_pid import BackCalculation, Clamping, Gains
 from plants import WEB_WINDING
 from studies.cli import main
-from studies.design import _limits
+from studies.design import _limits, _setpoints_said
 from studies.experiments import plan, web_winding_loops
 from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel, Dataset
@@ -23,6 +24,7 @@ from workbench.errors import InputError
 from workbench.identification.ssm import SSM
 from workbench.lpv import LPVModel, OperatingPoint, Term, load_model
 from workbench.simulation import simulate
+from workbench.verification.trial import Trial
 
 pytestmark = pytest.mark.slow
 
@@ -388,3 +390,23 @@ def test_a_rate_that_is_none_is_named(folder, capsys):
 def test_knots_belong_to_a_scheduled_law(folder, capsys):
     assert main(["design", "pid", "--model", str(folder / "m.json"), "--knots", "3", "--out", str(folder / "knots")]) == 2
     assert "--knots is for a scheduled law" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("weight", "none", "b", "Kr", "over", "said"),
+    [
+        (None, False, 1.0, 2.0, 0.1, ""),
+        (0.5, False, 0.5, 2.0, 0.9, ""),
+        (None, True, 1.0, 0.0, 0.1, ""),
+        (None, False, 0.4, 2.0, 0.1, "set-points: their weight is 0.4, so that"),
+        (None, False, 0.0, 0.0, 0.3, "set-points: their weight is 0, without feedforward, so that"),
+        (None, True, 0.0, 0.0, 0.3, "set-points: their weight is 0, so that"),
+    ],
+)
+def test_what_was_chosen_for_set_points_is_said(weight, none, b, Kr, over, said):
+    options = SimpleNamespace(setpoint_weight=weight, no_feedforward=none)
+    law = SimpleNamespace(b=np.array([b]), Kr=np.array([[[Kr]]]))
+    sentence = _setpoints_said(options, law, Trial("", "", "", over))
+    assert sentence.startswith(said)
+    assert bool(sentence) is bool(said)
+    assert ("ramp them" in sentence) is bool(said and over > 0.2)

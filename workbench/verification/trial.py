@@ -34,11 +34,15 @@ SAME = 0.1  # of the span within which an output of the operating point is the s
 
 @record
 class Trial:
-    """What one run said: where it ran, and why it was lost, "" where it was not."""
+    """What one run said: where it ran, and why it was lost, "" where it was not.
+
+    overshoot: the largest of an output beyond a set-point, as a share of the step.
+    """
 
     where: str
     lost: str
     sentence: str
+    overshoot: float = 0.0
 
 
 def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None) -> Trial:
@@ -203,8 +207,9 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in each)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
     far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in each if share > OVERSHOOT]
-    calm = " (--setpoint-weight 0 or --no-feedforward follow set-points more calmly)" * hasattr(law, "b")
-    return Trial(where, "", said + "".join(f"; {own}" for own in far) + calm * bool(far))
+    brisk = any(np.any(getattr(law, own, 0.0)) for own in ("b", "Kr"))
+    calm = " (--setpoint-weight 0 --no-feedforward follows set-points more calmly)" * bool(far and brisk)
+    return Trial(where, "", said + "".join(f"; {own}" for own in far) + calm, float(over.max(initial=0.0)))
 
 
 def _lost(where: str, why: str) -> Trial:
