@@ -247,7 +247,7 @@ def _possible(methods: Mapping[str, Method], records: Dataset, progress: Progres
 def _put_off(methods: Mapping[str, Method], records: Dataset) -> bool:
     """Whether the slowest method waits for what the others can do."""
     schedules = schedules_of(records.experiments[0])
-    return set(methods) == set(METHODS) and len(schedules) == 1 and LATE not in dict(_unfit(schedules))
+    return set(methods) == set(METHODS) and len(schedules) == 1
 
 
 def _better(choice: Choice, methods: Mapping[str, Method], records: Dataset, progress: Progress) -> Choice:
@@ -266,8 +266,6 @@ def _unfit(schedules: Sequence[Channel]) -> Iterator[tuple[str, str]]:
         yield from ((name, "needs a scheduling channel") for name in ("ilm", "lpv-oe"))
     elif len(schedules) > 1:
         yield "ilm", f"takes one scheduling channel, these are {len(schedules)}"
-    elif schedules[0].has_role("output"):
-        yield "lpv-oe", "follows a schedule from outside, this one is an output"
 
 
 def _fitted(

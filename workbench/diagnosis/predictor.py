@@ -388,11 +388,11 @@ class Predictor:
         line = Linearization(last[0], last[1], H, np.isfinite(r.seen))
         return _coloured(line, len(self.noise.drift), len(self.noise.coloured), self.noise.decays(plant.dt))
 
-    def moved(self, i: int, eta: np.ndarray) -> np.ndarray:
-        """What effects eta (ne) in place of the fitted ones do in every sample of record i to what the filter carries, (N, n)."""
+    def moved(self, i: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """What effects `after` (ne) in place of `before` do in every sample of record i to what the filter carries, (N, n)."""
         active = self._active()
         restart = np.repeat(self.corrected(i, self.point)[:, :, None], 2, axis=2)
-        both = _smooth(self.plant, np.stack([self.point.eta[i], eta]))
+        both = _smooth(self.plant, np.stack([before, after]))
         at = self.point.p[None], both, self.point.start[i][None]
         flow = self._run(self.records[i], *at, stepper.Steering(restart=restart, full=True)).full
         assert flow is not None

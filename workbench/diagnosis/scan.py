@@ -81,7 +81,7 @@ def pushes(predictor: Predictor, fit: Fit, shape: int, sizes: np.ndarray) -> lis
     for i, eta in enumerate(fit.point.eta):
         still = eta.copy()
         still[shape], still[size] = 0.0, sizes[size]
-        found.append(predictor.moved(i, still))
+        found.append(predictor.moved(i, eta, still))
     return found
 
 

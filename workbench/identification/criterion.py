@@ -13,7 +13,7 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.errors import check_known
 from workbench.identification.output_error.method import OutputError
-from workbench.identification.output_error.refine import refined, work
+from workbench.identification.output_error.refine import refinable, refined, work
 from workbench.identification.output_error.state_space import LPVOutputError
 from workbench.identification.selection import Method, parts
 from workbench.lpv import LPVModel
@@ -54,15 +54,15 @@ class ByCriterion:
         better = refined(model, dataset)
         if better is model:
             why = "no stable model with free runs was found"
-            if model.scheduled_output is not None:
-                why = "these runs follow a schedule that is given, and its schedule is an output"
+            if model.scheduled_output is not None and not refinable(model):
+                why = "its schedule is an output that its output equation or its operating point reads"
             return model if self.criterion == "best" else _noted(model, f"not refined: {why}")
         return _noted(better, "refined by the error of its free runs")
 
 
 def _pays(model: LPVModel, dataset: Dataset) -> bool:
     """Whether a refinement on parts of the records makes free runs better on those between them."""
-    if model.scheduled_output is not None or work(model, dataset) > MOST:
+    if not refinable(model) or work(model, dataset) > MOST:
         return False
     seen, unseen = parts(dataset)
     if min(map(len, unseen)) < 2 * model.warmup + 2:

@@ -236,14 +236,13 @@ def test_the_choice_of_a_method_takes_it_up():
     assert choose(methods, Dataset((tank(1), tank(2)))).method == "ssm"
 
 
-def test_a_refinement_along_a_given_schedule_leaves_it_as_it_is():
-    data = Dataset((tank(1),))
-    plain = SSM(order=1).fit(data)
-    best, asked = (ByCriterion(SSM(order=1), criterion).fit(data) for criterion in ("best", "simulation"))
-    for model in (best, asked):
-        np.testing.assert_array_equal(model.A, plain.A)
-    assert best.notes == plain.notes
-    assert asked.notes[-1].startswith("not refined: ")
+def test_a_refinement_follows_the_schedule_that_its_own_run_computes():
+    data, fresh = Dataset((tank(1),)), tank(2)
+    plain, asked = (ByCriterion(SSM(order=1), criterion).fit(data) for criterion in ("prediction", "simulation"))
+    assert asked.notes[-1] == "refined by the error of its free runs"
+    own, new = ([fit(e["level"][5:], model.simulate(e)[5:, 0]) for model in (plain, asked)] for e in (data.experiments[0], fresh))
+    assert own[1] >= own[0]
+    assert new[1] > new[0] - 0.5
 
 
 # ---- leaks and what is refused ------------------------------------------------------------------------------------------------

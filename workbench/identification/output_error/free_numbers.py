@@ -32,9 +32,15 @@ class FreeNumbers:
 
     @classmethod
     def all_of(cls, model: LPVModel, *, direct: bool) -> "FreeNumbers":
-        """Every entry of A, B and C, with `direct` of D, and of the operating point's inputs and outputs."""
+        """Every entry of A, B and C, with `direct` of D, and of the operating point's inputs and outputs.
+
+        Where the schedule is an output, C and D stay: of a state-space model they may, and outputs are no equation in themselves.
+        """
         kinds = [(IN_A, model.A), (IN_B, model.B), (IN_C, model.C), *([(IN_D, model.D)] if direct else [])]
         found = [(kind, *place) for kind, M in kinds for place in np.ndindex(M.shape)]
+        if model.scheduled_output is not None:
+            still = np.flatnonzero(constant_weights(model)).tolist()
+            found = [place for place in found if place[0] in (IN_A, IN_B) or place[1] in still]
         found += [(IN_OFFSET, j, r, 0) for j, r in np.ndindex(model.operating_point.y.shape)]
         found += [(IN_ZERO, j, 0, c) for j, c in np.ndindex(model.operating_point.u.shape)]
         return cls(model, np.array(found, dtype=np.int64))

@@ -20,6 +20,7 @@ from workbench.identification.output_error.free_numbers import FreeNumbers, cons
 from workbench.identification.output_error.passes import along
 from workbench.identification.output_error.spread import estimates
 from workbench.lpv import LPVModel
+from workbench.quasi_lpv import slopes as slopes_of
 from workbench.records import field, record
 
 SHARES = (1.0, 0.3, 0.05)  # of the predictor's gain, before the free run
@@ -29,6 +30,8 @@ DAMPED = (1e-9, 1e-6, 1e-4, 1e-2, 1.0, 100.0)  # of the diagonal of the informat
 UNKNOWN = (1e-8, 1e-6, 1e-4, 1e-2, 1.0, 100.0)  # shares of the states' variance that a predictor may follow
 BLOCKS = 20  # of a record, whose errors count as independent of each other
 GRID = 41  # schedule values at which a model must be stable
+BEGUN = 5  # steps to a start
+NODES = 513  # schedule values between which the functions of a schedule that is an output are read
 FORGOTTEN = 0.01  # share of a start that is left after the predictor's warm-up
 LONGEST = 10  # of a record: the longest warm-up is one by this number
 
@@ -48,7 +51,7 @@ class Runs:
 
     def __init__(self, model: LPVModel, dataset: Dataset):
         inputs, outputs = ([c.name for c in own] for own in (model.inputs, model.outputs))
-        self.pieces = []
+        self.pieces, self.own = [], _own_schedule(model)
         for e in dataset:
             *_, w, _ = model.deviations(e)
             phi = model.operating_point.basis(model.schedule_of(e))
@@ -60,12 +63,25 @@ class Runs:
         self.scale = np.where(spread > 0.0, spread, 1.0)
 
     def begun(self, own: FreeNumbers, share: float) -> np.ndarray:
-        """Starts (R, nx) from which the runs of the model err least: what a start does is linear; 0 where a run is lost."""
-        still = np.zeros((len(self.pieces), own.model.order))
-        cost, H, b = self.normal(FreeNumbers.nothing(own.model), still, share)
-        if not (np.isfinite(cost) and np.isfinite(H).all()):
-            return still
-        return np.stack([_solved(h, g.sum(axis=0), DAMPED[0]) for h, g in zip(H, b, strict=True)])
+        """Starts (R, nx) from which the runs of the model err least; 0 where a run is lost.
+
+        What a start does is linear under a schedule from outside; under one that is an output, Gauss-Newton steps that help.
+        """
+        starts, none = np.zeros((len(self.pieces), own.model.order)), FreeNumbers.nothing(own.model)
+        for _ in range(1 if self.own[0] < 0 else BEGUN):
+            cost, H, b = self.normal(none, starts, share)
+            if not (np.isfinite(cost) and np.isfinite(H).all()):
+                break
+            moved = starts + np.stack([_solved(h, g.sum(axis=0), DAMPED[0]) for h, g in zip(H, b, strict=True)])
+            if self.own[0] >= 0 and not self.cost(own.model, moved, share) < cost:
+                break
+            starts = moved
+        return starts
+
+    def missed(self, model: LPVModel) -> float:
+        """Root mean square over records and outputs of the errors of free runs, in deviations of what was measured."""
+        own = FreeNumbers.nothing(model)
+        return float(np.sqrt(self.cost(model, self.begun(own, 0.0), 0.0) / sum(piece.y.size for piece in self.pieces)))
 
     def cost(self, model: LPVModel, starts: np.ndarray, share: float) -> float:
         """Sum of squares of all runs; inf where one is lost."""
@@ -88,8 +104,20 @@ class Runs:
                 piece.w, piece.phi, piece.u, piece.y,
             )
         )  # fmt: skip
-        along(A, B, C, D, K, u0, y0, w, phi, u, y, share, self.scale, x.copy(), own.places, e, H, b, self.block, slopes)
+        places, block = own.places, self.block
+        along(A, B, C, D, K, u0, y0, w, phi, u, y, share, self.scale, x.copy(), places, e, H, b, block, slopes, *self.own)
         return e, H, b
+
+
+def _own_schedule(model: LPVModel) -> tuple[int, np.ndarray, np.ndarray, float, float]:
+    """What `along` needs to know of a schedule that is an output; -1 and nothing of one from outside."""
+    terms = np.array([(term.delay, term.function) for term in model.terms], dtype=np.int64)
+    if model.scheduled_output is None:
+        return -1, terms, np.zeros((2, 1, 2)), 0.0, 1.0
+    low, high = model.span.tolist()
+    nodes = np.linspace(low, high, NODES)
+    table = np.stack([model.basis(nodes), [slopes_of(model.basis, rho) for rho in nodes.tolist()]], axis=2)
+    return model.scheduled_output, terms, table, low, high
 
 
 def minimised(
@@ -158,9 +186,13 @@ def _step(H: np.ndarray, blocks: list[np.ndarray], P: int, damping: float) -> tu
 
 
 def _solved(A: np.ndarray, b: np.ndarray, damping: float) -> np.ndarray:
-    d = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    value, vector = np.linalg.eigh(A / np.outer(d, d))
-    return vector @ ((vector.T @ (b / d)) / (np.maximum(value, 0.0) + damping * max(value.max(), 1e-300))) / d
+    """The damped solution of A z = b, 0 for what does nothing: scaled by its own size, rounding would be a step without end."""
+    acts = np.diag(A) > 0.0
+    z, d = np.zeros(len(b)), np.sqrt(np.diag(A)[acts])
+    if acts.any():
+        value, vector = np.linalg.eigh(A[np.ix_(acts, acts)] / np.outer(d, d))
+        z[acts] = vector @ ((vector.T @ (b[acts] / d)) / (np.maximum(value, 0.0) + damping * value.max())) / d
+    return z
 
 
 def allowed(model: LPVModel, share: float, slowest: float = 1.0) -> bool:
@@ -182,16 +214,27 @@ def frozen(model: LPVModel, share: float) -> np.ndarray:
 def refined(model: LPVModel, dataset: Dataset) -> LPVModel:
     """The model whose free runs along the records err least, with a predictor, noise and uncertainty of its own.
 
-    The model as it is where its basis holds no constant, where its schedule is an output (these runs follow a given schedule), or
-    where no stable model is found.
+    The model as it is where it is not `refinable`, or where no stable model is found.
     """
-    if model.scheduled_output is not None or not np.isfinite(constant_weights(model)).all():
+    if not refinable(model):
         return model
     runs, own = Runs(model, dataset), FreeNumbers.of(model)
     own = own.moved(own.values)
     for share in (0.0,) if allowed(model, 0.0) else (*SHARES, 0.0):
         own = minimised(own, runs, share)
     return (finished(own, runs, dataset) if stable(own.model) else None) or model
+
+
+def refinable(model: LPVModel) -> bool:
+    """Whether its free runs can be fitted: its basis holds the constant; and where the schedule is an output, as a function of
+    its own, so that neither the output equation nor the operating point need move with it, and they do not.
+    """
+    weights = constant_weights(model)
+    if model.scheduled_output is None or not np.isfinite(weights).all():
+        return bool(np.isfinite(weights).all())
+    moving = weights == 0.0
+    moves = model.C[moving].any() or model.D[moving].any() or len(model.operating_point.basis.names) > 1
+    return bool(moving.sum() == len(weights) - 1 and not moves)
 
 
 def finished(own: FreeNumbers, runs: Runs, dataset: Dataset) -> LPVModel | None:

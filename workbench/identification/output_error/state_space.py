@@ -4,7 +4,7 @@
 
 All entries of all M_j are free; of the start only those of the constant function are not 0. The run is held by the measured
 outputs at first, share = 1, and less and less until it is free: from so poor a start a free run would be lost. Order and degree
-are those whose model of three fifths of every record runs best on the other two.
+are those whose model of three fifths of every record runs best on the other two. Where the schedule is an output, C and D stay.
 
 V. Verdult, "Nonlinear System Identification: A State-Space Approach", PhD thesis, Twente (2002), chapter 6.
 """
@@ -20,20 +20,24 @@ from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
 from workbench.identification.output_error.fence import Fence
 from workbench.identification.output_error.free_numbers import FreeNumbers, constant_weights
+from workbench.identification.output_error.method import OutputError
 from workbench.identification.output_error.refine import SHARES, Runs, finished, minimised, stable
 from workbench.identification.schedules import check_variables, polynomials_over, schedules_of, spans_of
 from workbench.identification.selection import parts
 from workbench.identification.subspace import PBSID, PredictorEstimate, channels_of
 from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
-from workbench.metrics import score
+from workbench.quasi_lpv import coupling_notes
 from workbench.records import field, record
 
 WORTH = 0.98  # of the error on what was left out: what one more order, or degree, must do
 HELD, FREE = 1e-3, 1e-6  # share of the cost that a step must gain, of runs that are held and of free ones
 # of a span: how far beyond the records a model of several variables is followed if it is stable there
 REACHES = (0.25, 0.15, 0.1, 0.05)
+HIGHEST = 5  # degree of polynomials whose special cases are begun from
 AWAY = 1e-3  # modulus of a pole
+CHARGES = (1.0, 100.0, 1e4)  # of what poles beyond the limit cost at first
 STEPS = 100
+ENOUGH = 10_000  # samples from which order and degree are chosen
 LESS = (0.0, 0.001, 0.01, 0.03)  # shares of what moves A over the schedule
 PATIENCE = 2  # orders in a row that do not
 
@@ -68,17 +72,19 @@ class LPVOutputError:
     def fit(self, dataset: Dataset) -> LPVModel:
         """The model of all records together.
 
-        Raises InputError for records without input, output or schedule, for a schedule that is an output, and where no stable
-        model is found.
+        Raises InputError for records without input, output or schedule, and where no stable model is found.
         """
-        task = _Task(self, dataset)
-        chosen, notes = self._chosen(self._bases(task), dataset)
-        # from another start there may be another minimum
-        own = min(task.freed(chosen), task.fitted(chosen.model.order, chosen.model.basis), key=task.cost)
+        task, short = _Task(self, dataset), _shortened(dataset)
+        chosen, notes = self._chosen(self._bases(task), short)
+        own = task.freed(chosen)
+        if short is dataset:  # from another start there may be another minimum
+            own = min(own, task.fitted(chosen.model.order, chosen.model.basis), key=task.cost)
         model = own and finished(own, task.runs(own.model), dataset)
         if model is None:
             mend = "ask for a lower order or degree, or take another method"
             raise InputError("no stable model was found", file=", ".join(dataset.names), mend=mend)
+        if model.scheduled_output is not None:
+            notes += coupling_notes(model)
         return replace(model, notes=notes, trained_on=dataset.fingerprints)
 
     @property
@@ -100,7 +106,7 @@ class LPVOutputError:
             failed = 0
             for n in self._orders:
                 own = task.fitted(n, basis)
-                missed = np.inf if own is None else _missed(own.model, unseen)
+                missed = np.inf if own is None else Runs(own.model, unseen).missed(own.model)
                 told = f"{100.0 * missed:.3g} %" if missed < 10.0 else "runs away"
                 said.append(f"order {n}, {len(basis.names)} functions: {told}")
                 if missed < WORTH * least:
@@ -122,9 +128,6 @@ class _Task:
         self.schedules = schedules_of(first)
         if not self.schedules:
             raise InputError("no schedule channel", file=first.name, mend="name one, or take LTI")
-        if any(c.has_role("output") for c in self.schedules):
-            mend = "take SSM or ILM where the schedule is an output"
-            raise InputError("free runs follow a schedule that is given, this one is an output", file=first.name, mend=mend)
         self.spans = spans_of(dataset, self.schedules)
         direct = acts_at_once(dataset) if options.feedthrough is None else options.feedthrough
         self.made: dict[tuple[int, tuple[str, ...]], FreeNumbers | None] = {}
@@ -136,19 +139,42 @@ class _Task:
     def fitted(self, order: int, basis: Basis) -> FreeNumbers | None:
         """The model of an order, with its free numbers; None where the records show fewer states, or where it is not stable.
 
-        Begun at the linear model, and at the model with a state less, its special case, where the first one runs worse than that.
+        Begun at the linear model, and at its special cases where the first one runs worse than these: a model with a state less,
+        and one of the next lower degree, down to the linear one by its free runs.
         """
         if order > self.start.largest:
             return None
         key = (order, basis.names)
         if key not in self.made:
-            own = self.freed(self._held(self._begun(order, basis)))
-            less = self.fitted(order - 1, basis) if order > 1 else None
-            if less is not None and not self.cost(own) < self.cost(less):
-                larger = FreeNumbers.all_of(widened(less.model), direct=bool(self.start.options.feedthrough))
-                own = min(own, self.freed(larger), key=self.cost)
+            starts = [
+                self._held(self._begun(order, basis)),
+                *(self._first_guesses(order, basis) if len(basis.names) == 1 else ()),
+            ]
+            own = min(map(self.freed, starts), key=self.cost)
+            smaller = self.fitted(order - 1, basis) if order > 1 else None
+            flatter = self.fitted(order, low) if (low := lower(basis, self.spans)) else None
+            for less, widen in ((smaller, widened), (flatter, lambda model: bent(model, basis))):
+                if less is not None and not self.cost(own) < self.cost(less):
+                    larger = FreeNumbers.all_of(widen(less.model), direct=bool(self.start.options.feedthrough))
+                    own = min(own, self.freed(larger), key=self.cost)
             self.made[key] = own
         return self.made[key]
+
+    def _first_guesses(self, order: int, basis: Basis) -> list[FreeNumbers]:
+        """Linear models of one or two poles for each output whose grid of poles has few minima."""
+        poles, rest = divmod(order, len(self.channels[1]))
+        if rest or poles not in (1, 2):
+            return []
+        try:
+            found = OutputError(order=poles, delays=False).fit(self.dataset)
+        except InputError:
+            return []
+        model = self._over(
+            basis, found.A[0], found.B[0], found.C[0], found.D[0], np.zeros((order, len(found.outputs))), order + 1
+        )
+        point = found.operating_point
+        model = replace(model, operating_point=replace(model.operating_point, u=point.u, y=point.y))
+        return [FreeNumbers.all_of(model, direct=bool(self.start.options.feedthrough))]
 
     def cost(self, own: FreeNumbers | None) -> float:
         """Squared errors of the free runs; inf without a model."""
@@ -165,29 +191,39 @@ class _Task:
         return own
 
     def freed(self, own: FreeNumbers) -> FreeNumbers | None:
-        """The model at the minimum of its free runs along these records; None where it is not stable there."""
-        own = replace(own, model=replace(own.model, spans=self.spans, reach=0.0))
-        runs = self.runs(own.model)
-        own = tamed(minimised(own, runs, 0.0, FREE, STEPS, self._fence(own, runs)))
-        return replace(own, model=reaching(own.model)) if stable(own.model) else None
+        """The model at the minimum of its free runs along these records, at worst as it is; None where it is not stable there.
 
-    def _fence(self, own: FreeNumbers, runs: Runs) -> Fence:
-        """Poles that are `AWAY` beyond the limit cost as much as all errors of the runs do now."""
-        cost = runs.cost(own.model, runs.begun(own, 0.0), 0.0)
-        return Fence(own.model, runs.slowest, cost / AWAY**2)
+        Poles that are `AWAY` beyond the limit cost as much as all errors of the runs do at first, and more while that holds none.
+        """
+        begun = own = replace(own, model=replace(own.model, spans=self.spans, reach=0.0))
+        runs = self.runs(own.model)
+        charge = runs.cost(own.model, runs.begun(own, 0.0), 0.0) / AWAY**2
+        for dearer in CHARGES:
+            own = minimised(own, runs, 0.0, FREE, STEPS, Fence(own.model, runs.slowest, dearer * charge))
+            if stable(own.model):
+                break
+        best = min((one for one in (tamed(own), begun) if stable(one.model)), key=self.cost, default=None)
+        return best and replace(best, model=reaching(best.model))
 
     def _begun(self, order: int, basis: Basis) -> LPVModel:
         """The LTI model over the basis."""
+        found = self.start.realise(order)
+        model = self._over(basis, found.A, found.B, found.C, found.D, found.K, max(found.past, order + 1))
+        point = replace(model.operating_point, u=found.u0[None], y=found.y0[None])
+        return replace(model, operating_point=point)
+
+    def _over(self, basis: Basis, A, B, C, D, K, warmup: int) -> LPVModel:
+        """A model over the basis whose matrices do not move."""
         weight = unity(basis)
         if weight is None:
             raise InputError("a basis without the constant 1", mend="give one that holds it, such as Powers([0, 1])")
-        found = self.start.realise(order)
-        A, B, C, D, K = (weight[:, None, None] * M for M in (found.A, found.B, found.C, found.D, found.K))
-        point = constant(len(self.schedules))
+        gain = K
+        A, B, C, D, K = (weight[:, None, None] * M for M in (A, B, C, D, K))
+        still = OperatingPoint(constant(len(self.schedules)), np.zeros((1, B.shape[2])), np.zeros((1, C.shape[1])))
         return LPVModel(
             self.options.name, self.dataset.dt, *self.channels, self.schedules, self.spans, basis,
-            tuple(Term(j) for j in range(len(weight))), A, B, C, D, OperatingPoint(point, found.u0[None], found.y0[None]),
-            Predictor(A - found.K @ C, B - found.K @ D, K, warmup=max(found.past, order + 1)),
+            tuple(Term(j) for j in range(len(weight))), A, B, C, D, still,
+            Predictor(A - gain @ C, B - gain @ D, K, warmup=warmup),
         )  # fmt: skip
 
 
@@ -202,6 +238,31 @@ def widened(model: LPVModel) -> LPVModel:
     B[:, -1:] = G[:, -1:] = weight * np.abs(model.B).max(axis=(0, 1))
     C = np.pad(model.C, ((0, 0), (0, 0), (0, 1)))
     return replace(model, A=A, B=B, C=C, predictor=replace(predictor, F=F, G=G, K=K))
+
+
+def lower(basis: Basis, spans: np.ndarray) -> Basis | None:
+    """The polynomials of the next lower degree over the same spans; None of another basis, and of the constant."""
+    degree = next((d for d in range(1, HIGHEST + 1) if polynomials_over(spans, d).names == basis.names), None)
+    return polynomials_over(spans, degree - 1) if degree else None
+
+
+def bent(model: LPVModel, basis: Basis) -> LPVModel:
+    """The model over more functions of the schedule, the further ones 0."""
+    own = [basis.names.index(name) for name in model.basis.names]
+
+    def spread(M: np.ndarray) -> np.ndarray:
+        wide = np.zeros((len(basis.names), *M.shape[1:]))
+        wide[own] = M
+        return wide
+
+    predictor = model.predictor
+    assert predictor is not None
+    F, G, K = map(spread, (predictor.F, predictor.G, predictor.K))
+    A, B, C, D = map(spread, (model.A, model.B, model.C, model.D))
+    terms = tuple(Term(j) for j in range(len(basis.names)))
+    return replace(
+        model, basis=basis, terms=terms, A=A, B=B, C=C, D=D, predictor=replace(predictor, F=F, G=G, K=K)
+    )  # fmt: skip
 
 
 def tamed(own: FreeNumbers) -> FreeNumbers:
@@ -226,8 +287,7 @@ def reaching(model: LPVModel) -> LPVModel:
     return next((own for share in REACHES if stable(own := replace(model, reach=share))), model)
 
 
-def _missed(model: LPVModel, unseen: Dataset) -> float:
-    """Root mean square over outputs and records of the errors of free runs over the deviations of what was measured."""
-    runs = score(replace(model, trained_on=()), unseen, "held-out", ["free-run"])
-    missed = float(np.sqrt(np.mean([(1.0 - s.FIT / 100.0) ** 2 for s in runs])))
-    return missed if np.isfinite(missed) else np.inf
+def _shortened(dataset: Dataset) -> Dataset:
+    """The first ENOUGH samples of all records together, the same share of each: an order and a degree need no more."""
+    share = ENOUGH / sum(map(len, dataset))
+    return dataset if share >= 1.0 else Dataset(tuple(e.trim(stop=e.t[int(share * len(e))]) for e in dataset))
