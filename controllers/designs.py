@@ -28,6 +28,7 @@ Numbers = Mapping[str, float]
 Say = Callable[[str], None]
 
 WEIGHTS = (1.0, 0.7, 0.4, 0.0)  # of set-points, from brisk to calm
+ALIKE = 0.02  # of a step: overshoots that differ by less
 
 
 @record
@@ -38,9 +39,8 @@ class ScheduledPIDDesign:
     values with gains of their own, their number or the values, of several schedule variables for all or for each (see
     `design_pid`); 1 is a fixed PID. low, high, rate [1/s]: limits of commands by input. setpoint: the usual one by output, which
     is held without the integral. filter [s]: of the derivative, default two samples. setpoint_weight: share of the set-point in
-    the proportional part. feedforward: whether a new set-point commands at once what holds it. Where neither is said, `on` takes
-    the briskest pair of them that overshoots no step of its run by more than a fifth, else the calmest; margins are the same with
-    all. robust_to: models that must be kept too.
+    the proportional part. feedforward: whether a new set-point commands at once what holds it. What is not said of these two `on`
+    chooses, see `calmed`; margins are the same with all. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
         array([[0.32]])
@@ -90,18 +90,23 @@ class ScheduledPIDDesign:
         return _handed_out(found.law, trial, accept)
 
     def calmed(self, found: PIDDesign, model: LPVModel, plant: Plant | None = None) -> tuple[PIDDesign, Trial]:
-        """The design with the briskest answer to set-points that overshoots none of its run by more than OVERSHOOT, else the
-        calmest; and that run. What is said of weight and feedforward stays.
+        """The design with the briskest answer to set-points that overshoots none of its run by more than OVERSHOOT, else with the
+        one that overshoots least, of like ones the briskest; and that run. What is said of weight and feedforward stays.
+
+        A scheduled law gives its feedforward up at a stated usual set-point only: without it u0 holds that one alone while the
+        schedule moves.
         """
         usual = setpoint_of(self.setpoint, model)
         held = model.operating_point.basis(np.asarray(found.knots)) @ model.operating_point.y if usual is None else usual
         best = found, tried(found.law, model, plant, usual)
         for b, feedforward in self._answers_to_setpoints()[1:]:
-            if best[1].lost or best[1].overshoot <= OVERSHOOT:
+            if not best[1].lost and best[1].overshoot <= OVERSHOOT:
                 break
+            if found.law.schedule is not None and usual is None and not feedforward and self.feedforward is not False:
+                continue
             law = found.law.weighted(b, np.asarray(held), feedforward=feedforward)
             trial = tried(law, model, plant, usual)
-            if not trial.lost and trial.overshoot < best[1].overshoot:
+            if not trial.lost and (best[1].lost or trial.overshoot < best[1].overshoot - ALIKE):
                 best = replace(found, law=law), trial
         return best
 

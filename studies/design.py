@@ -232,10 +232,16 @@ def _say_limits(law: Any, model: LPVModel, say: Say) -> None:
 
 def _setpoints_said(options: Namespace, law: ScheduledPID, trial: Trial) -> str:
     """What was chosen so that set-points do not overshoot, and what is left to do; empty where nothing was."""
-    if options.setpoint_weight is not None or (law.b.min() == 1.0 and (options.no_feedforward or law.Kr.any())):
-        return ""
+    over = trial.overshoot > OVERSHOOT
+    if options.setpoint_weight is not None:
+        return "set-points: without --setpoint-weight one is taken that overshoots less" if over else ""
+    left = "; they still overshoot: ramp them" + ", or state --setpoint" * bool(
+        law.schedule and law.Kr.any() and not options.setpoint
+    )
+    left = left if over else ""
+    if law.b.min() == 1.0 and (options.no_feedforward or law.Kr.any()):
+        return f"set-points: no weight lets steps overshoot less{left}" if over else ""
     weight = f"their weight is {law.b.min():g}" + ("" if law.Kr.any() or options.no_feedforward else ", without feedforward")
-    left = "" if trial.overshoot <= OVERSHOOT else "; they still overshoot: ramp them"
     return f"set-points: {weight}, so that steps overshoot less; --setpoint-weight 1 is as brisk as the margins allow{left}"
 
 

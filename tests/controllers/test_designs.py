@@ -9,11 +9,11 @@ from scipy.linalg import expm
 import controllers
 from controllers import MPC, MPCDesign, ScheduledPID, ScheduledPIDDesign, load_controller
 from studies.cli import main
-from workbench.basis import CONSTANT
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError
 from workbench.identification.lti import LTI
-from workbench.lpv import OperatingPoint, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Term, constant_model
 from workbench.physics.controller import check_controller
 from workbench.sources import read
 from workbench.verification.trial import Trial
@@ -112,7 +112,40 @@ def test_what_is_said_of_set_points_stays():
         assert law.b.tolist() == [b]
         assert bool(law.Kr.any()) is feedforward
     assert not ScheduledPIDDesign(feedforward=False).on(model).Kr.any()
+    assert ScheduledPIDDesign(feedforward=True).on(model).Kr.any()
     assert ScheduledPIDDesign(setpoint_weight=0.7).on(model).Kr.any()
+
+
+def test_a_scheduled_law_gives_its_feedforward_up_at_a_stated_set_point_only():
+    """Without it u0 holds one set-point while the schedule moves, and the integral is late for every other one."""
+    one = swinging(0.15, rest=0.0)
+    basis, stiffer = PiecewiseLinear((0.0, 1.0)), expm(np.array([[0.0, 1.0, 0.0], [-2.0, -0.3, 2.0], [0.0, 0.0, 0.0]]) * 0.1)
+    A, B = np.stack([one.A[0], stiffer[:2, :2]]), np.stack([one.B[0], stiffer[:2, 2:]])
+    C, D = np.repeat(one.C, 2, axis=0), np.repeat(one.D, 2, axis=0)
+    model = LPVModel(
+        "moving", 0.1, one.inputs, one.outputs, (Channel("p", "1", "schedule"),), [[0.0, 1.0]], basis, (Term(0), Term(1)),
+        A, B, C, D, OperatingPoint(CONSTANT, [[0.0]], [[0.0]]),
+    )  # fmt: skip
+    design = ScheduledPIDDesign(knots=2)
+    kept, stated = design.on(model), ScheduledPIDDesign(knots=2, setpoint={"y": 0.0}).on(model)
+    assert kept.Kr.any()
+    assert not stated.Kr.any()
+    assert not ScheduledPIDDesign(knots=2, feedforward=False).on(model).Kr.any()
+
+
+def test_where_the_briskest_answer_loses_the_loop_a_calmer_one_is_taken(model, monkeypatch):
+    def tried(law, *_):
+        return Trial("", "it runs away" if law.b[0] == 1.0 else "", "", 0.1)
+
+    monkeypatch.setattr("controllers.designs.tried", tried)
+    assert ScheduledPIDDesign().on(model).b.tolist() == [0.7]
+
+
+def test_of_answers_that_overshoot_alike_the_briskest_is_taken(model, monkeypatch):
+    monkeypatch.setattr("controllers.designs.tried", lambda law, *_: Trial("", "", "", 0.6 + 0.01 * law.b[0]))
+    law = ScheduledPIDDesign().on(model)
+    assert law.b.tolist() == [1.0]
+    assert law.Kr.any()
 
 
 def test_a_controller_that_loses_its_loop_is_not_handed_out(model, monkeypatch):

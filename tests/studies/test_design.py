@@ -396,7 +396,9 @@ def test_knots_belong_to_a_scheduled_law(folder, capsys):
     ("weight", "none", "b", "Kr", "over", "said"),
     [
         (None, False, 1.0, 2.0, 0.1, ""),
-        (0.5, False, 0.5, 2.0, 0.9, ""),
+        (0.5, False, 0.5, 2.0, 0.1, ""),
+        (0.5, False, 0.5, 2.0, 0.9, "set-points: without --setpoint-weight one"),
+        (None, False, 1.0, 2.0, 0.9, "set-points: no weight lets steps overshoot less; they still overshoot: ramp them"),
         (None, True, 1.0, 0.0, 0.1, ""),
         (None, False, 0.4, 2.0, 0.1, "set-points: their weight is 0.4, so that"),
         (None, False, 0.0, 0.0, 0.3, "set-points: their weight is 0, without feedforward, so that"),
@@ -404,9 +406,10 @@ def test_knots_belong_to_a_scheduled_law(folder, capsys):
     ],
 )
 def test_what_was_chosen_for_set_points_is_said(weight, none, b, Kr, over, said):
-    options = SimpleNamespace(setpoint_weight=weight, no_feedforward=none)
-    law = SimpleNamespace(b=np.array([b]), Kr=np.array([[[Kr]]]))
+    options = SimpleNamespace(setpoint_weight=weight, no_feedforward=none, setpoint=[])
+    law = SimpleNamespace(b=np.array([b]), Kr=np.array([[[Kr]]]), schedule="r2")
     sentence = _setpoints_said(options, law, Trial("", "", "", over))
     assert sentence.startswith(said)
     assert bool(sentence) is bool(said)
-    assert ("ramp them" in sentence) is bool(said and over > 0.2)
+    assert ("ramp them" in sentence) is bool(said and over > 0.2 and weight is None)
+    assert ("state --setpoint" in sentence) is bool("ramp them" in sentence and Kr)

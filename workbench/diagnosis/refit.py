@@ -170,6 +170,7 @@ def _all_round(model: Model, unknowns: Unknowns, guess: np.ndarray) -> list[np.n
     more than one peak.
     """
     own, found = unknowns.places[-1].start, []
+    turns = own + 2 + len(unknowns.terms[-1].free)
     amplitude = float(np.hypot(*guess[own : own + 2]))
     phases = 2.0 * np.pi / PHASES * np.arange(PHASES)
     for share in AMPLITUDES:
@@ -178,7 +179,7 @@ def _all_round(model: Model, unknowns: Unknowns, guess: np.ndarray) -> list[np.n
         tried = _evaluate(model.predictor, unknowns, list(z), model.fit.jacobian)
         squares = np.nan_to_num([[np.sum(e**2) for e in f.errors] for f in tried], nan=np.inf)
         best = squares.argmin(axis=0)
-        z[best[0], own + 2 :] = phases[best[1:]] - phases[best[0]]
+        z[best[0], turns:] = phases[best[1:]] - phases[best[0]]
         found.append(unknowns.clip(z[best[0]]))
     return found
 

@@ -55,7 +55,7 @@ class ByCriterion:
         if better is model:
             why = "no stable model with free runs was found"
             if model.scheduled_output is not None and not refinable(model):
-                why = "its schedule is an output that its output equation or its operating point reads"
+                why = "its schedule is an output, and its basis, its output equation or its operating point does not let it"
             return model if self.criterion == "best" else _noted(model, f"not refined: {why}")
         return _noted(better, "refined by the error of its free runs")
 

@@ -207,9 +207,7 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in each)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
     far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in each if share > OVERSHOOT]
-    brisk = any(np.any(getattr(law, own, 0.0)) for own in ("b", "Kr"))
-    calm = " (--setpoint-weight 0 --no-feedforward follows set-points more calmly)" * bool(far and brisk)
-    return Trial(where, "", said + "".join(f"; {own}" for own in far) + calm, float(over.max(initial=0.0)))
+    return Trial(where, "", said + "".join(f"; {own}" for own in far), float(over.max(initial=0.0)))
 
 
 def _lost(where: str, why: str) -> Trial:

@@ -8,9 +8,9 @@ from tests.workbench.diagnosis.cases import AXIS, axis_records, fitted, keys_of,
 from workbench import Parameter, Plant
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.diagnosis import diagnose
-from workbench.diagnosis.fit import gauss_newton
+from workbench.diagnosis.fit import _evaluate, gauss_newton
 from workbench.diagnosis.kalman import response
-from workbench.diagnosis.refit import _at_own_noise, refit, start
+from workbench.diagnosis.refit import _all_round, _at_own_noise, refit, start
 from workbench.diagnosis.scan import PEAKS, Scan, latent_push, pushes, scan_frequencies, scan_orders, turned
 from workbench.diagnosis.screen import small_sizes, variants
 from workbench.physics.controller import Playback
@@ -189,7 +189,7 @@ def test_peaks_are_larger_than_their_neighbours_and_the_largest_comes_first():
     assert Scan(1, np.arange(4.0), np.array([4.0, 3.0, 1.0, 2.0]), np.array([False, True, True, True])).peaks == [3.0]
 
 
-def reel_and_strip(drum, strip):
+def reel_and_strip(drum, strip, seeds=(1, 2)):
     """A drum that draws a strip, and records in which the tension swings with 1.3 Hz, by hand; places are called as given."""
 
     def equation(x, u, p, at):
@@ -222,7 +222,7 @@ def reel_and_strip(drum, strip):
         return [(M - 0.1 * x[1] - 0.02 * x[0]) / 0.02, 4.0 * x[0] - 4.0 * x[1] + swing]
 
     made = []
-    for seed in (1, 2):
+    for seed in seeds:
         random, x, rows = np.random.default_rng(seed), np.array([15.0, 15.0]), []
         torque = 1.8 + np.repeat(random.uniform(-0.6, 0.6, 30), 40)
         for k, M in enumerate(torque):
@@ -244,6 +244,30 @@ def test_what_is_tried_does_not_depend_on_what_a_place_is_called():
         tried.append({(v.key.split("@")[0], places.get(v.key.split("@")[1], v.key.split("@")[1])) for v in found})
     assert tried[0] == tried[1]
     assert {("periodic-tension", "strip"), ("imbalance", "drum")} <= tried[1]
+
+
+@pytest.mark.parametrize("records", [1, 2, 3])
+def test_a_swing_with_a_frequency_of_its_own_begins_at_that_and_at_a_phase_for_every_record(records):
+    """What is fitted beside the phases stood in their place: with one record, and with three, a diagnosis ended in an error."""
+    plant, data = reel_and_strip("drum", "strip", range(1, records + 1))
+    model = fitted(data, plant)
+    sizes = small_sizes(model.predictor, model.fit)
+    (score,) = screened(model, ["periodic-tension@strip"])
+    unknowns, guesses = start(model, score.best)
+    own, free = unknowns.places[-1], unknowns.terms[-1].free
+    found = _all_round(model, unknowns, guesses[0])
+    assert len(free) == 1
+    for z in found:
+        frequency, turns = z[own][2], z[own][3:]
+        assert frequency == 0.0  # that of the scan
+        assert len(turns) == records - 1
+    # far nearer to a tension that swings than the scan's own step, or as near
+    tried = _evaluate(model.predictor, unknowns, [guesses[0], *found], model.fit.jacobian)
+    assert min(f.cost for f in tried[1:]) < 1.05 * tried[0].cost
+    after = refit(model, score, sizes)
+    slots = {s.parameter.name: i for i, s in enumerate(plant.slots) if s.key == "periodic-tension@strip"}
+    assert after.fit.point.eta[0, slots["frequency"]] == pytest.approx(1.3, abs=0.02)
+    assert np.hypot(*after.fit.point.eta[0, [slots["cosine"], slots["sine"]]]) == pytest.approx(6.0, rel=0.1)
 
 
 @pytest.mark.slow

@@ -14,12 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.data import Dataset
+from workbench.data import Dataset, Experiment
 from workbench.identification.output_error.fence import Fence
 from workbench.identification.output_error.free_numbers import FreeNumbers, constant_gain, constant_weights
 from workbench.identification.output_error.passes import along
 from workbench.identification.output_error.spread import estimates
 from workbench.lpv import LPVModel
+from workbench.quasi_lpv import coupling_notes
 from workbench.quasi_lpv import slopes as slopes_of
 from workbench.records import field, record
 
@@ -38,25 +39,34 @@ LONGEST = 10  # of a record: the longest warm-up is one by this number
 
 @record
 class Piece:
-    """One record as the model reads it: u (N, nu) and y (N, ny) as measured, weights w (N, nt), phi (N, m)."""
+    """One record as the model reads it: u (N, nu) and y (N, ny) as measured, weights w (N, nt), phi (N, m).
 
+    y is NaN where it does not count.
+    """
+
+    y: np.ndarray
     u: np.ndarray = field("N nu")
-    y: np.ndarray = field("N ny")
     w: np.ndarray = field("N nt")
     phi: np.ndarray = field("N m")
 
 
 class Runs:
-    """The records of a data set as a model reads them; its schedule stays."""
+    """The records of a data set as a model reads them; its schedule stays.
 
-    def __init__(self, model: LPVModel, dataset: Dataset):
+    inside: whether what was measured where a schedule from outside leaves the model's spans is left out.
+    """
+
+    def __init__(self, model: LPVModel, dataset: Dataset, *, inside: bool = False):
         inputs, outputs = ([c.name for c in own] for own in (model.inputs, model.outputs))
         self.pieces, self.own = [], _own_schedule(model)
         for e in dataset:
             *_, w, _ = model.deviations(e)
             phi = model.operating_point.basis(model.schedule_of(e))
-            self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (e[inputs], e[outputs], w, phi))))
-        spread = np.sqrt(np.mean([np.nanvar(piece.y, axis=0) for piece in self.pieces], axis=0))
+            y = e[outputs]
+            if inside and model.scheduled_output is None:
+                y = np.where(_within(model, e)[:, None], y, np.nan)
+            self.pieces.append(Piece(*(np.ascontiguousarray(a) for a in (y, e[inputs], w, phi))))
+        spread = np.sqrt(np.mean([np.var(e[outputs], axis=0) for e in dataset], axis=0))
         # what is slower than a record is long is an offset that drifts: it is not known, and its gain is any
         self.slowest = float(np.exp(-1.0 / max(len(piece.y) for piece in self.pieces)))
         self.block = max(min(len(piece.y) for piece in self.pieces) // BLOCKS, 1)
@@ -79,9 +89,13 @@ class Runs:
         return starts
 
     def missed(self, model: LPVModel) -> float:
-        """Root mean square over records and outputs of the errors of free runs, in deviations of what was measured."""
+        """Root mean square over records and outputs of the errors of free runs, in deviations of what was measured.
+
+        The start of each record, which is fitted to it, counts as so many values less.
+        """
         own = FreeNumbers.nothing(model)
-        return float(np.sqrt(self.cost(model, self.begun(own, 0.0), 0.0) / sum(piece.y.size for piece in self.pieces)))
+        counted = sum(int(np.isfinite(piece.y).sum()) - model.order for piece in self.pieces)
+        return float(np.sqrt(self.cost(model, self.begun(own, 0.0), 0.0) / counted)) if counted > 0 else np.inf
 
     def cost(self, model: LPVModel, starts: np.ndarray, share: float) -> float:
         """Sum of squares of all runs; inf where one is lost."""
@@ -107,6 +121,13 @@ class Runs:
         places, block = own.places, self.block
         along(A, B, C, D, K, u0, y0, w, phi, u, y, share, self.scale, x.copy(), places, e, H, b, block, slopes, *self.own)
         return e, H, b
+
+
+def _within(model: LPVModel, e: Experiment) -> np.ndarray:
+    """Whether each sample of a record (N) is within the model's spans."""
+    rho = model.measured_schedule(e).reshape(len(e), -1)
+    low, high = model.spans.T
+    return np.all((rho >= low) & (rho <= high), axis=1) if len(model.schedules) else np.ones(len(e), dtype=bool)
 
 
 def _own_schedule(model: LPVModel) -> tuple[int, np.ndarray, np.ndarray, float, float]:
@@ -222,7 +243,11 @@ def refined(model: LPVModel, dataset: Dataset) -> LPVModel:
     own = own.moved(own.values)
     for share in (0.0,) if allowed(model, 0.0) else (*SHARES, 0.0):
         own = minimised(own, runs, share)
-    return (finished(own, runs, dataset) if stable(own.model) else None) or model
+    better = finished(own, runs, dataset) if stable(own.model) else None
+    if better is None or model.scheduled_output is None:
+        return better or model
+    said = coupling_notes(model)  # what they say is another now
+    return replace(better, notes=(*(note for note in better.notes if note not in said), *coupling_notes(better)))
 
 
 def refinable(model: LPVModel) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from workbench.basis import Basis, constant, unity
+from workbench.basis import Basis, Powers, Products, constant, polynomials, unity
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.identification.feedthrough import acts_at_once
@@ -37,7 +37,7 @@ HIGHEST = 5  # degree of polynomials whose special cases are begun from
 AWAY = 1e-3  # modulus of a pole
 CHARGES = (1.0, 100.0, 1e4)  # of what poles beyond the limit cost at first
 STEPS = 100
-ENOUGH = 10_000  # samples from which order and degree are chosen
+ENOUGH, PIECE = 10_000, 2500  # samples from which order and degree are chosen; of a piece of a long record
 LESS = (0.0, 0.001, 0.01, 0.03)  # shares of what moves A over the schedule
 PATIENCE = 2  # orders in a row that do not
 
@@ -77,7 +77,7 @@ class LPVOutputError:
         task, short = _Task(self, dataset), _shortened(dataset)
         chosen, notes = self._chosen(self._bases(task), short)
         own = task.freed(chosen)
-        if short is dataset:  # from another start there may be another minimum
+        if short is dataset or own is None:  # from another start there may be another minimum
             own = min(own, task.fitted(chosen.model.order, chosen.model.basis), key=task.cost)
         model = own and finished(own, task.runs(own.model), dataset)
         if model is None:
@@ -94,19 +94,26 @@ class LPVOutputError:
     def _bases(self, task: "_Task") -> list[Basis]:
         if self.basis is not None:
             check_variables(self.basis, task.schedules)
+            own = unity(self.basis)
+            if any(c.has_role("output") for c in task.schedules) and (own is None or np.count_nonzero(own) != 1):
+                mend = "give one in which it is a function of its own, such as Powers([0, 1, 2]): the output equation stays still"
+                raise InputError("a basis without the constant 1, for a schedule that is an output", mend=mend)
             return [self.basis]
         return [polynomials_over(task.spans, d) for d in ((1, 2) if self.degree is None else (self.degree,))]
 
     def _chosen(self, bases: Sequence[Basis], dataset: Dataset) -> tuple[FreeNumbers, tuple[str, ...]]:
-        """The model of three fifths of the records that runs best on the other two; and what each that was tried came to."""
+        """The model of three fifths of the records that runs best on the other two; and what each that was tried came to.
+
+        What lies beyond the range of those does not count: there every model guesses, and that of all records need not.
+        """
         seen, unseen = parts(dataset)
-        task = _Task(self, seen)
+        task = _Task(self, seen, unseen)
         best, least, said = None, np.inf, []
         for basis in bases:
             failed = 0
             for n in self._orders:
                 own = task.fitted(n, basis)
-                missed = np.inf if own is None else Runs(own.model, unseen).missed(own.model)
+                missed = task.judged(own)
                 told = f"{100.0 * missed:.3g} %" if missed < 10.0 else "runs away"
                 said.append(f"order {n}, {len(basis.names)} functions: {told}")
                 if missed < WORTH * least:
@@ -120,11 +127,14 @@ class LPVOutputError:
 
 
 class _Task:
-    """Records with the long predictor that all starts come from."""
+    """Records with the long predictor that all starts come from.
 
-    def __init__(self, options: LPVOutputError, dataset: Dataset):
+    unseen: records by which the models from several starts are judged; None judges them by those that they are fitted to.
+    """
+
+    def __init__(self, options: LPVOutputError, dataset: Dataset, unseen: Dataset | None = None):
         first = dataset.experiments[0]
-        self.options, self.dataset, self.channels = options, dataset, channels_of(first)
+        self.options, self.dataset, self.unseen, self.channels = options, dataset, unseen, channels_of(first)
         self.schedules = schedules_of(first)
         if not self.schedules:
             raise InputError("no schedule channel", file=first.name, mend="name one, or take LTI")
@@ -150,13 +160,13 @@ class _Task:
                 self._held(self._begun(order, basis)),
                 *(self._first_guesses(order, basis) if len(basis.names) == 1 else ()),
             ]
-            own = min(map(self.freed, starts), key=self.cost)
+            own = min(map(self.freed, starts), key=self.judged)
             smaller = self.fitted(order - 1, basis) if order > 1 else None
-            flatter = self.fitted(order, low) if (low := lower(basis, self.spans)) else None
+            flatter = self.fitted(order, low) if (low := lower(basis)) else None
             for less, widen in ((smaller, widened), (flatter, lambda model: bent(model, basis))):
-                if less is not None and not self.cost(own) < self.cost(less):
+                if less is not None and not self.judged(own) < self.judged(less):
                     larger = FreeNumbers.all_of(widen(less.model), direct=bool(self.start.options.feedthrough))
-                    own = min(own, self.freed(larger), key=self.cost)
+                    own = min(own, self.freed(larger), key=self.judged)
             self.made[key] = own
         return self.made[key]
 
@@ -175,6 +185,12 @@ class _Task:
         point = found.operating_point
         model = replace(model, operating_point=replace(model.operating_point, u=point.u, y=point.y))
         return [FreeNumbers.all_of(model, direct=bool(self.start.options.feedthrough))]
+
+    def judged(self, own: FreeNumbers | None) -> float:
+        """Errors of free runs, of what was fitted or of what was not; inf without a model."""
+        if own is None or self.unseen is None:
+            return self.cost(own)
+        return Runs(own.model, self.unseen, inside=True).missed(own.model)
 
     def cost(self, own: FreeNumbers | None) -> float:
         """Squared errors of the free runs; inf without a model."""
@@ -240,10 +256,18 @@ def widened(model: LPVModel) -> LPVModel:
     return replace(model, A=A, B=B, C=C, predictor=replace(predictor, F=F, G=G, K=K))
 
 
-def lower(basis: Basis, spans: np.ndarray) -> Basis | None:
-    """The polynomials of the next lower degree over the same spans; None of another basis, and of the constant."""
-    degree = next((d for d in range(1, HIGHEST + 1) if polynomials_over(spans, d).names == basis.names), None)
-    return polynomials_over(spans, degree - 1) if degree else None
+def lower(basis: Basis) -> Basis | None:
+    """The polynomials of the next lower degree in the same units; None of another basis, and of the constant."""
+    if isinstance(basis, Powers):
+        whole = np.array_equal(basis.exponents, np.arange(len(basis.exponents)))
+        return Powers(basis.exponents[:-1], basis.scale) if whole and len(basis.exponents) > 1 else None
+    if not isinstance(basis, Products):
+        return None
+    factors = [own for own in basis.factors if isinstance(own, Powers)]
+    scales = np.array([own.scale for own in factors])
+    alike = (d for d in range(1, HIGHEST + 1) if polynomials(d, scales).names == basis.names)
+    degree = next(alike, None) if len(factors) == len(basis.factors) else None
+    return polynomials(degree - 1, scales) if degree else None
 
 
 def bent(model: LPVModel, basis: Basis) -> LPVModel:
@@ -288,6 +312,16 @@ def reaching(model: LPVModel) -> LPVModel:
 
 
 def _shortened(dataset: Dataset) -> Dataset:
-    """The first ENOUGH samples of all records together, the same share of each: an order and a degree need no more."""
+    """ENOUGH samples of all records together, which an order and a degree need no more of: some of the short ones, whole, and
+    pieces that are spread over each long one, for a schedule may drift through it.
+    """
     share = ENOUGH / sum(map(len, dataset))
-    return dataset if share >= 1.0 else Dataset(tuple(e.trim(stop=e.t[int(share * len(e))]) for e in dataset))
+    if share >= 1.0:
+        return dataset
+    found = [e for e in dataset if len(e) <= PIECE][:: int(np.ceil(1.0 / share))]
+    for e in (e for e in dataset if len(e) > PIECE):
+        count = max(1, round(share * len(e) / PIECE))
+        for begin in np.linspace(0, len(e) - PIECE, count).astype(int) if count > 1 else [(len(e) - PIECE) // 2]:
+            piece = e.trim(e.t[begin], e.t[begin + PIECE] if begin + PIECE < len(e) else np.inf)
+            found.append(replace(piece, name=f"{e.name} from sample {begin}"))
+    return Dataset(tuple(found))
