@@ -199,7 +199,7 @@ def test_an_order_is_chosen_from_pieces_of_every_part_of_long_records_and_from_w
         made = []
         for i, N in enumerate(lengths):
             t = 0.1 * np.arange(N)
-            made.append(Experiment(f"r{i}", t, (INPUTS[0], OUTPUTS[0]), np.column_stack([t + i, t]), 0.1))
+            made.append(Experiment(f"r{i}", t, (INPUTS[0], OUTPUTS[0]), np.column_stack([t, t * (1.0 + i)]), 0.1))
         return Dataset(tuple(made))
 
     few = records(4000, 6000)
