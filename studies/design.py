@@ -234,7 +234,7 @@ def _setpoints_said(options: Namespace, law: ScheduledPID, trial: Trial) -> str:
     """What was chosen so that set-points do not overshoot, and what is left to do; empty where nothing was."""
     over = trial.overshoot > OVERSHOOT
     if options.setpoint_weight is not None:
-        return "set-points: without --setpoint-weight one is taken that overshoots less" if over else ""
+        return "set-points: without --setpoint-weight one is looked for that overshoots less" if over else ""
     left = "; they still overshoot: ramp them" + ", or state --setpoint" * bool(
         law.schedule and law.Kr.any() and not options.setpoint
     )

@@ -132,7 +132,7 @@ def _design(sub: argparse.ArgumentParser) -> None:
         "--setpoint-weight",
         type=float,
         metavar="B",
-        help="share of the set-point in the proportional part, 0 to 1 (default: the largest that does not overshoot)",
+        help="share of the set-point in the proportional part, 0 to 1 (default: the largest that overshoots by a fifth at most)",
     )
     sub.add_argument(
         "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"

@@ -34,7 +34,7 @@ class FreeNumbers:
     def all_of(cls, model: LPVModel, *, direct: bool) -> "FreeNumbers":
         """Every entry of A, B and C, with `direct` of D, and of the operating point's inputs and outputs.
 
-        Where the schedule is an output, C and D stay: of a state-space model they may, and outputs are no equation in themselves.
+        Where the schedule is an output, C and D do not move with it: y = C(y) x would be an implicit equation.
         """
         kinds = [(IN_A, model.A), (IN_B, model.B), (IN_C, model.C), *([(IN_D, model.D)] if direct else [])]
         found = [(kind, *place) for kind, M in kinds for place in np.ndindex(M.shape)]

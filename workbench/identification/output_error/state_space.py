@@ -179,11 +179,8 @@ class _Task:
             found = OutputError(order=poles, delays=False).fit(self.dataset)
         except InputError:
             return []
-        model = self._over(
-            basis, found.A[0], found.B[0], found.C[0], found.D[0], np.zeros((order, len(found.outputs))), order + 1
-        )
-        point = found.operating_point
-        model = replace(model, operating_point=replace(model.operating_point, u=point.u, y=point.y))
+        matrices = found.A[0], found.B[0], found.C[0], found.D[0], np.zeros((order, len(found.outputs)))
+        model = self._over(basis, matrices, found.operating_point.u, found.operating_point.y, order + 1)
         return [FreeNumbers.all_of(model, direct=bool(self.start.options.feedthrough))]
 
     def judged(self, own: FreeNumbers | None) -> float:
@@ -224,21 +221,19 @@ class _Task:
     def _begun(self, order: int, basis: Basis) -> LPVModel:
         """The LTI model over the basis."""
         found = self.start.realise(order)
-        model = self._over(basis, found.A, found.B, found.C, found.D, found.K, max(found.past, order + 1))
-        point = replace(model.operating_point, u=found.u0[None], y=found.y0[None])
-        return replace(model, operating_point=point)
+        matrices = found.A, found.B, found.C, found.D, found.K
+        return self._over(basis, matrices, found.u0[None], found.y0[None], max(found.past, order + 1))
 
-    def _over(self, basis: Basis, A, B, C, D, K, warmup: int) -> LPVModel:
-        """A model over the basis whose matrices do not move."""
+    def _over(self, basis: Basis, matrices: Sequence[np.ndarray], u0: np.ndarray, y0: np.ndarray, warmup: int) -> LPVModel:
+        """A model over the basis whose matrices A, B, C, D, K do not move, about u0 (1, nu), y0 (1, ny)."""
         weight = unity(basis)
         if weight is None:
             raise InputError("a basis without the constant 1", mend="give one that holds it, such as Powers([0, 1])")
-        gain = K
-        A, B, C, D, K = (weight[:, None, None] * M for M in (A, B, C, D, K))
-        still = OperatingPoint(constant(len(self.schedules)), np.zeros((1, B.shape[2])), np.zeros((1, C.shape[1])))
+        gain = matrices[-1]
+        A, B, C, D, K = (weight[:, None, None] * M for M in matrices)
         return LPVModel(
             self.options.name, self.dataset.dt, *self.channels, self.schedules, self.spans, basis,
-            tuple(Term(j) for j in range(len(weight))), A, B, C, D, still,
+            tuple(Term(j) for j in range(len(weight))), A, B, C, D, OperatingPoint(constant(len(self.schedules)), u0, y0),
             Predictor(A - gain @ C, B - gain @ D, K, warmup=warmup),
         )  # fmt: skip
 
