@@ -69,7 +69,7 @@ def identify(
     choice, models, remarks = _fitted(named, given.own, chosen, progress) if named else (None, {}, [])
     put_off = {LATE: ByCriterion(by_name[LATE], criterion)} if _put_off(by_name, given.own) else {}
     if put_off and choice and choice.fit[choice.method] < GOOD and sum(map(len, given.own)) <= FEW:
-        choice = _better(choice, put_off, given.own, progress)
+        choice = choose(put_off, given.own, beside=choice, progress=progress)
         models, put_off = {choice.method: choice.model}, {}
         remarks = _chosen_of(choice)
     results: list[ScoredModel] = []
@@ -250,16 +250,6 @@ def _put_off(methods: Mapping[str, Method], records: Dataset) -> bool:
     return set(methods) == set(METHODS) and len(schedules) == 1
 
 
-def _better(choice: Choice, methods: Mapping[str, Method], records: Dataset, progress: Progress) -> Choice:
-    """The choice among these methods too."""
-    try:
-        other = choose(methods, records, progress=progress)
-    except InputError as reason:  # none of them can be fitted, or runs
-        return replace(choice, failed={**choice.failed, **dict.fromkeys(methods, reason.problem)})
-    best = max(choice, other, key=lambda own: own.fit[own.method])
-    return replace(best, fit={**choice.fit, **other.fit}, failed=choice.failed)
-
-
 def _unfit(schedules: Sequence[Channel]) -> Iterator[tuple[str, str]]:
     """Methods that cannot take these schedules, and why."""
     if not schedules:
@@ -299,7 +289,10 @@ def _chosen_of(choice: Choice) -> list[str]:
 
 def _chosen(choice: Choice) -> str:
     found = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
-    return f"chosen: {choice.method}; free-run FIT on two fifths of the estimation records that it was not fitted to: {found}"
+    fits = f"chosen: {choice.method}; free-run FIT on two fifths of the estimation records that it was not fitted to: {found}"
+    ahead = [name for name, fit in choice.fit.items() if fit > choice.fit[choice.method]]
+    unsure = f"; {' and '.join(ahead)}, scheduled, may be better by chance: worse on a part of the records" if ahead else ""
+    return fits + unsure
 
 
 def _remarks(name: str, model: LPVModel) -> list[str]:

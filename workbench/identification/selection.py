@@ -3,6 +3,10 @@
 A model that is judged on the samples it was fitted to always asks for more parameters. A schedule such as a reel's radius moves
 one way through a record, so holding back the last part would ask every model about a range it never saw: the blocks that are
 held back lie between blocks that are not, and the winner is then fitted again to everything.
+
+Between two blocks that it was fitted to, a model that moves with such a schedule only interpolates, and there is no second pass
+of the schedule to tell it from time. So a new record is one more such part: a model that does not move gives way only to one that
+loses on none of them, or gains by more than they differ.
 """
 
 import itertools
@@ -25,46 +29,89 @@ class Method(Protocol):
     def fit(self, dataset: Dataset) -> LPVModel: ...
 
 
+BLOCKS = 5  # consecutive parts of a record; the second and the fourth are held back
+SURE = 2.0  # standard errors over parts and outputs
+LOSS = 0.05  # of the error on one part and output, which counts as none
+
+
+@record
+class Judged:
+    """How a method ran on what it was not fitted to: free-run FIT [%] by part and output, and whether its model is scheduled."""
+
+    FIT: tuple[float, ...]
+    scheduled: bool
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.FIT))
+
+    def surely_better(self, other: "Judged") -> bool:
+        """Whether it errs less on the geometric mean, and on none more by `LOSS`, or by more than `SURE` standard errors."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gain = np.log(100.0 - np.array(other.FIT)) - np.log(100.0 - np.array(self.FIT))
+            scatter = gain.std(ddof=1) / np.sqrt(len(gain))
+        return bool(gain.mean() > 0.0 and (gain.min() > -LOSS or gain.mean() > SURE * scatter))
+
+
 @record
 class Choice:
-    """The chosen method, its model of all estimation samples, and the mean free-run FIT [%] of every method tried."""
+    """The chosen method, its model of all estimation samples, and how every method that was tried ran, or why it could not."""
 
     method: str
     model: LPVModel
-    fit: Mapping[str, float]
+    judged: Mapping[str, Judged]
     failed: Mapping[str, str]
 
+    @property
+    def fit(self) -> dict[str, float]:
+        """Mean free-run FIT [%] of every method on what it was not fitted to."""
+        return {name: own.mean for name, own in self.judged.items()}
 
-BLOCKS = 5  # consecutive parts of a record; the second and the fourth are held back
 
-
-def choose(methods: Mapping[str, Method], dataset: Dataset, *, progress: Callable[[str], None] = lambda _: None) -> Choice:
+def choose(
+    methods: Mapping[str, Method],
+    dataset: Dataset,
+    *,
+    beside: Choice | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Choice:
     """The method whose model of the first, third and fifth part of each record runs free best on the second and fourth.
 
-    A method that cannot be fitted is passed over with its reason. Raises InputError where none can, or where none runs better
-    than the mean of what is held back: then the records cannot decide.
+    A scheduled model takes the place of one that is not only where it is `surely_better`. beside: an earlier choice from the same
+    records, whose methods are judged with these. A method that cannot be fitted is passed over with its reason. Raises InputError
+    where none can, or where none runs better than the mean of what is held back: then the records cannot decide.
     """
     kept, held_back = parts(dataset)
-    fit: dict[str, float] = {}
-    failed: dict[str, str] = {}
+    judged = dict(beside.judged) if beside else {}
+    failed = dict(beside.failed) if beside else {}
     for name, method in methods.items():
         progress(f"{name}: judged on two fifths of each record that it was not fitted to")
         try:
             model = method.fit(kept)
-            fit[name] = float(np.mean([s.FIT for s in score(model, held_back, "held-out", ["free-run"])]))
+            FIT = tuple(s.FIT for s in score(model, held_back, "held-out", ["free-run"]))
+            judged[name] = Judged(FIT, bool(model.schedules))
         except InputError as reason:
             failed[name] = reason.problem
-    if not fit:
+    if not judged:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
         raise InputError(f"no method can be fitted to these records: {reasons}", mend="give longer records")
-    best = max(fit, key=lambda name: fit[name])
-    if fit[best] <= 0:
+    best = _best(judged)
+    if judged[best].mean <= 0:
         raise InputError(
-            f"no method simulates held-back parts better than their mean (best: {best}, FIT {fit[best]:.1f})",
+            f"no method simulates held-back parts better than their mean (best: {best}, FIT {judged[best].mean:.1f})",
             mend="name the method with --model, and doubt it: the records hold too little for a choice",
         )
+    if beside and best == beside.method:
+        return replace(beside, judged=judged, failed=failed)
     progress(f"{best}: identifying")
-    return Choice(best, methods[best].fit(dataset), fit, failed)
+    return Choice(best, methods[best].fit(dataset), judged, failed)
+
+
+def _best(judged: Mapping[str, Judged]) -> str:
+    """The method of the highest mean FIT; the best unscheduled one where a scheduled one is not surely better than that."""
+    by_fit = sorted(judged, key=lambda name: judged[name].mean, reverse=True)
+    still = next((name for name in by_fit if not judged[name].scheduled), by_fit[0])
+    return next(name for name in by_fit if name == still or judged[name].surely_better(judged[still]))
 
 
 def parts(dataset: Dataset) -> tuple[Dataset, Dataset]:
