@@ -324,6 +324,17 @@ def settled(model: Model, sizes: np.ndarray, beside: Model | None = None) -> Mod
     return model
 
 
+def stepped(model: Model, substeps: int, sizes: np.ndarray) -> Model:
+    """The model with no fewer integrator steps a sample than this, settled: what is compared is integrated alike.
+
+    A fit makes up for steps that are too long as it does for an effect.
+    """
+    if model.predictor.substeps >= substeps:
+        return model
+    predictor, fit = replace(model.predictor, substeps=substeps), model.fit
+    return settled(Model(predictor, gauss_newton(predictor, fit.unknowns, fit.z, sizes, enough=0.2)), sizes)
+
+
 def begun_beside(model: Model, other: Model, sizes: np.ndarray) -> Model:
     """The best of the model as it is, fitted again at the noise levels of another one, and there from its parameters and starts.
 

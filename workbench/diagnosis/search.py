@@ -30,7 +30,18 @@ from workbench.diagnosis.policy import (
     TIE,
     WORTH,
 )
-from workbench.diagnosis.refit import LEFT, Model, begun_beside, from_special, is_late, refits, settled, shortlist, without
+from workbench.diagnosis.refit import (
+    LEFT,
+    Model,
+    begun_beside,
+    from_special,
+    is_late,
+    refits,
+    settled,
+    shortlist,
+    stepped,
+    without,
+)
 from workbench.diagnosis.rivals import Rival, best_first, closest_rival, gap_between, is_case_of, rivals_of
 from workbench.diagnosis.rounding import rounded
 from workbench.diagnosis.screen import Score, Signature, scores, signatures, similarity, small_sizes, variants
@@ -186,7 +197,7 @@ def _step(
 
     def holds(m: Model, s: Score) -> bool:
         # what shows by no score of its own is a cause only where nothing explains more
-        return (s.p_family < ALPHA or m is finals[0][0]) and left_out(model, m).holds
+        return (s.p_family < ALPHA or m is finals[0][0]) and not _is_rounding(m, s.key) and left_out(model, m).holds
 
     while not any(holds(m, s) for m, s in worthy) and (pair := next(behind, None)):
         # what came first holds in some records only: another cause may hold in all
@@ -194,7 +205,8 @@ def _step(
         tried = race.final(*pair)
         worthy += [(tried, pair[1])] if _worthy(model, tried, pair[1].key, steps, most) else []
     held = [(m, s) for m, s in worthy if holds(m, s)]
-    if not worthy and np.isfinite(most):
+    named = [(m, s) for m, s in worthy if not _is_rounding(m, s.key)]
+    if not named and np.isfinite(most):
         # what the likelihood puts first helps nothing a second ahead: what it puts behind may
         tried, significant = {s.key for s in short}, [s for s in found if s.p_family < ALPHA]
         if rest := [s for s in significant if s.key not in tried]:
@@ -202,7 +214,7 @@ def _step(
     if not held:
         told = (
             _local(model, m, s.key)
-            for m, s in worthy
+            for m, s in named
             if (model.bic - m.bic > LOCAL or s.p_family < LEFT_OVER) and lesser.of(m, s.key).bic - m.bic > WORTH
         )
         return next(told, None)
@@ -273,7 +285,14 @@ class _Race:
         if best is not first:  # nor by where the first one ended if another has come out best
             near = [(m, s) for m, s in finals[1:] if m.bic < best.bic + SWAP]
             finals = best_first([*finals, *((self.final(m, s, best), s) for m, s in near)])
-        return finals
+        return _alike_stepped(finals, self.sizes)
+
+
+def _alike_stepped(finals: Sequence[tuple[Model, Score]], sizes: np.ndarray) -> list[tuple[Model, Score]]:
+    """Models, best first, of which those that come near the best one have as many integrator steps as any of these."""
+    near = finals[0][0].bic + SWAP
+    finest = max(m.predictor.substeps for m, _ in finals if m.bic < near)
+    return best_first([(stepped(m, finest, sizes) if m.bic < near else m, s) for m, s in finals])
 
 
 def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
@@ -285,7 +304,6 @@ def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: 
         and min(gain, gain + before.within - after.within) >= WORTH
         and _practical(before, after)
         and _of_its_own(before.predictor.plant, key, gain, steps)
-        and not _is_rounding(after, key)
         and not _is_alias(after, key)
         and (np.isinf(most) or ahead(before, after) <= most)
     )
@@ -345,7 +363,10 @@ def _alike(model: Model, found: Sequence[Score], sizes: np.ndarray) -> set[str]:
 
 
 def _is_rounding(model: Model, key: str) -> bool:
-    """Whether the play of a sensor is less than the step that its readings are rounded to: rounding looks like play."""
+    """Whether the play of a sensor is less than the step that its readings are rounded to: rounding looks like play.
+
+    Then it is not named; but what it explains as well as another cause may be it.
+    """
     effect, place = effect_and_place(key)
     if effect != PLAY:
         return False
@@ -394,7 +415,8 @@ class Lesser:
             if known is model and left == key:
                 return less
         less = settled(without(model, key, self.sizes), self.sizes)
-        less = min((less, *(m for m in self.met if set(m.keys) == set(less.keys))), key=lambda m: m.deviance)
+        met = (stepped(m, less.predictor.substeps, self.sizes) for m in self.met if set(m.keys) == set(less.keys))
+        less = min((less, *met), key=lambda m: m.deviance)
         self.made.append((model, key, less))
         return less
 
@@ -430,9 +452,10 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         near = [(m, s) for m, s in trials if m.bic < trials[0][0].bic + SWAP and m.bic < 0.5 * (less.bic + model.bic)]
         tried = [(timed(less, settled(m, sizes, model), s.key, sizes), s) for m, s in near]
         times = {s.key: t.others for t, s in tried} | {step.key: step.others}
-        finals = [(t.model, s) for t, s in tried if _worthy(less, t.model, s.key, others, most)]
-        better = [(m, s) for m, s in finals if m.bic < model.bic and left_out(less, m).holds]
-        finals.append((model, step.score))
+        alike = _alike_stepped(best_first([(model, step.score), *((t.model, s) for t, s in tried)]), sizes)
+        model = next(m for m, s in alike if s is step.score)
+        finals = [(m, s) for m, s in alike if s is step.score or _worthy(less, m, s.key, others, most)]
+        better = [(m, s) for m, s in finals if m.bic < model.bic and not _is_rounding(m, s.key) and left_out(less, m).holds]
         model, score = min(better, key=lambda pair: pair[0].bic, default=(model, step.score))
         tying = rivals_of(less, model, score.key, finals)
         # what does not tie beside these may tie beside fewer

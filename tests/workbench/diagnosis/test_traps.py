@@ -6,17 +6,22 @@ import numpy as np
 import pytest
 
 from tests.workbench.diagnosis.cases import AXIS, READING, ROBOT, axis_by_hand, axis_records, fitted, robot_records, screened
+from tests.workbench.diagnosis.drive import DRIVE
 from workbench.data import Dataset
+from workbench.diagnosis import search
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.fit import gauss_newton, term
 from workbench.diagnosis.lags import timed
-from workbench.diagnosis.policy import ALPHA, WORTH
+from workbench.diagnosis.policy import ALPHA, SWAP, WORTH
 from workbench.diagnosis.predictor import Predictor, predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
 from workbench.diagnosis.refit import Model, from_special, refit, settled
 from workbench.diagnosis.remainder import BUMPS, _scores, remainder, trajectory
 from workbench.diagnosis.screen import Signature, Variant, scores, small_sizes
+from workbench.diagnosis.search import _Race
+from workbench.physics.controller import Playback
+from workbench.simulation import Scenario, simulate
 
 pytestmark = pytest.mark.slow
 
@@ -52,6 +57,46 @@ def test_trap_1_rivals_are_integrated_like_the_model_they_are_compared_with():
     model = fitted(axis_records(2, {"sensor-lag@q": {"time": 0.03}}))
     rival = settled(refitted(model, "sensor-lag@q"), small_sizes(model.predictor, model.fit))
     assert rival.predictor.substeps == model.predictor.substeps
+
+
+def one_way(seed) -> Model:
+    """A drive that never reverses, so that its dry friction is an offset of its voltage."""
+    made = []
+    for i in range(2):
+        U = np.repeat(np.random.default_rng([seed, i]).uniform(2.0, 12.0, 31), 20)[:600]
+        scenario = Scenario(f"drive {i}", {"U": U}, seed=10 * seed + i, start={"w": 40.0})
+        effects = {"coulomb@shaft": {"level": 0.05, "width": 0.1}}
+        made.append(simulate(DRIVE, Playback(("U",), DRIVE.dt), scenario, effects=effects, substeps=40).experiment)
+    done = recalibrated(predictor(DRIVE, Dataset(tuple(made))))
+    return Model(done.predictor, done.fit)
+
+
+def test_trap_1_all_that_may_be_a_cause_is_integrated_as_the_finest_of_them_asks_for():
+    """A friction asks for more steps than its look-alikes: what these made of too long ones told them apart."""
+    for seed in range(3):
+        model = one_way(seed)
+        sizes = small_sizes(model.predictor, model.fit)
+        finals = _Race(model, screened(model, ["coulomb@shaft", "offset@U", "dead-zone@U", "sensor-lag@n"]), sizes).finals()
+        near = {s.key: m for m, s in finals if m.bic < finals[0][0].bic + SWAP}
+        assert {"coulomb@shaft", "offset@U"} <= set(near)
+        assert len({m.predictor.substeps for m in near.values()}) == 1
+        assert near["offset@U"].predictor.substeps > model.predictor.substeps  # as few as the model were enough for it alone
+        assert near["coulomb@shaft"].deviance == pytest.approx(near["offset@U"].deviance, abs=1.0)
+
+
+def test_what_may_be_rounding_is_not_named_but_its_look_alikes_are_not_sure_for_that(monkeypatch):
+    """The play of a sensor explains more than what else is late there: left out for its size, it stays their rival."""
+    monkeypatch.setattr(search, "_is_rounding", lambda model, key: key == "backlash@v")
+    for seed in (60, 61):
+        model = fitted(robot_records(seed, {"backlash@v": {"half_width": 0.02}}))
+        keys = ["backlash@v", "gear-backlash@u", "sensor-lag@v", "sensor-resonance@v", "input-delay@u"]
+        base, steps = search.Search(keys, np.array([]), np.inf, str).path(model)
+        assert steps
+        assert "backlash@v" not in {s.key for s in steps}
+        assert all(s.rivals["backlash@v"] < 0.0 for s in steps)
+        swapped = search.kept(base, steps, search.Lesser(small_sizes(model.predictor, model.fit)), np.inf)
+        assert "backlash@v" not in {s.key for s in swapped}
+        assert all(s.rival and s.rival.key == "backlash@v" for s in swapped)
 
 
 def closed_loop(seed) -> Model:
