@@ -150,6 +150,7 @@ from workbench.physics import elementary
 
 LANES = {lanes}
 HALFWAY = np.array([5.0 / 24.0, 1.0 / 6.0, 1.0 / 6.0, -1.0 / 24.0])  # dense output of the Runge-Kutta step, of order three
+INSTANT = np.array([0.0, 0.5, 0.5, 1.0])  # of the stages within a step
 {tables}
 
 @njit("void(f8[::1], b1[::1])", cache=True, nogil=True, error_model="numpy")
@@ -170,24 +171,25 @@ def remember(W, on):
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1],"
-    "i8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1])",
+    "i8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1], f8[:, :, :, ::1], f8[:, :, :, ::1], f8[:, :, ::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
     W, reference, disturbance, noise, step, back, acting, states, measured, commands, begin, end, first, every, dt, on, affected,
-    remembering, observed, gain, corrected, restart, push, remembered, decay
+    remembering, observed, gain, corrected, restart, push, remembered, decay, bend, bent, late
 ):
     """Advance LANES runs through the samples from `begin` to `end`; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
 {once}
-    for k in range(begin, end):
+'''
+_SAMPLE = """    for k in range(begin, end):
         for i in range({nr}):
             elementary.copy_row(W, {r} + i, reference, k * {nr} + i, LANES)
         for l in range(LANES):
             W[{t} * LANES + l] = k * dt
         for i in range({ny}):
             elementary.copy_row(W, {error} + i, noise, k * {ny} + i, LANES)
-'''
+"""
 _READ = """        for l in range(LANES):
 {read}
         for i in range({ny} if len(decay) > 0 else 0):
@@ -204,6 +206,31 @@ _DRIVE = """        for l in range(LANES):
             for l in range(LANES):
                 acting[first + k, i, l] = W[({v} + i) * LANES + l] + disturbance[k, i, l]
                 commands[k, i, l] = W[({u} + i) * LANES + l]
+"""
+# inputs of a record that go on between their samples: what acts at all samples comes first, and what leads from one to the next
+_SAVE = """    saved = W.copy()
+"""
+_REACH = """        for i in range({nu}):
+            for l in range(LANES):
+                W[({reach} + i) * LANES + l] = 0.5 * (abs(bend[k, i, 0, l]) + abs(bend[k, i, 1, l]) + abs(bend[k, i, 2, l]))
+"""
+_BEND = """        for i in range({nu}):
+            for j in range(3):
+                for l in range(LANES):
+                    bent[first + k, i, j, l] = W[({steep} + i) * LANES + l] * bend[k, i, j, l]
+    W[:] = saved
+    for k in range(first + begin, first + end):
+        for i in CURVED:
+            for l in range(LANES):
+                ahead = acting[k + 1, i, l] - acting[k, i, l] if k + 1 < first + end else 0.0
+                bent[k, i, 0, l] = ahead - bent[k, i, 1, l] - bent[k, i, 2, l]
+"""
+_FOLLOWED = "FOLLOWED"  # where the next one goes, if anywhere
+_FOLLOW = """                for l in range(LANES):
+{follow}
+                for i in range({nu} if len(decay) > 0 else 0):
+                    for l in range(LANES):
+                        W[({w} + i) * LANES + l] += W[({surge} + i) * LANES + l]
 """
 _LOG = """        for i in range({nx}):
             elementary.copy_row(states, k * {nx} + i, W, {x} + i, LANES)
@@ -274,6 +301,7 @@ _INTEGRATE = (
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
 """
+    + _FOLLOWED
     + indent(_SLOPE, 8 * " ", lambda line: line.startswith(" "))
     + """                for l in range(LANES):
                     h = W[{h} * LANES + l]
@@ -332,11 +360,13 @@ _JUMP = (
                 W[({x} + i) * LANES + l] += dt * W[({slope} + i) * LANES + l]
 """
 )
-_CONTINUOUS = "".join([_HEAD, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE, _FADE])
-_DISCRETE = "".join([_HEAD, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
+_CONTINUOUS = "".join([_HEAD, _SAMPLE, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE.replace(_FOLLOWED, ""), _FADE])
+_AHEAD = "".join([_HEAD, _SAVE, _SAMPLE, _REACH, _CONTROL, _DRIVE, _BEND])
+_CURVED = "".join([_AHEAD, _SAMPLE, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE.replace(_FOLLOWED, _FOLLOW), _FADE])
+_DISCRETE = "".join([_HEAD, _SAMPLE, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
 _INDENT = {
     "once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "drifting": 24, "rising": 20,
-    "midst": 16, "measure": 20,
+    "midst": 16, "measure": 20, "follow": 20,
 }  # fmt: skip
 _INDENT_DISCRETE = _INDENT | {"rates": 16, "nominal": 16, "drifting": 16, "measure": 12}
 
@@ -358,11 +388,15 @@ def kernel_source(
     parts: Sequence[Switched],
     sensors: Sequence[Switched],
     sizes: Mapping[str, int],
-    *,
-    discrete: bool = False,
+    discrete: bool,
+    curved: Sequence[int],
+    swung: Sequence[int],
 ) -> str:
-    """The text of a kernel module; entry j of its `on` switches the j-th of parts and sensors together."""
-    indent, template = (_INDENT_DISCRETE, _DISCRETE) if discrete else (_INDENT, _CONTINUOUS)
+    """The text of a kernel module; entry j of its `on` switches the j-th of parts and sensors together.
+
+    curved: inputs that go on between their samples; swung: inputs whose rate of change the equation needs.
+    """
+    indent, template = (_INDENT_DISCRETE, _DISCRETE) if discrete else (_INDENT, _CURVED if curved else _CONTINUOUS)
     once = [line for code in (*codes.values(), *(part.code for part in (*parts, *sensors))) for line in code.once]
     blocks = {"once": once} | {name: list(code.body) for name, code in codes.items()}
     # written out row by row: LLVM turns a loop over lanes into SIMD code where it sees that no two rows overlap
@@ -377,12 +411,25 @@ def kernel_source(
             f"{_cell(stage + i)} = {_cell(x + i)} + ahead * r{i}",
         )
     ]
+    blocks["follow"] = [line for i in curved for line in _following(i, rows, swung)]
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
-    tables: list[str] = []
+    tables = [f"CURVED = np.array({list(curved)})"] if curved else []
     text["parts"] = _switched(parts, 0, rows, tables)
     text["sensors"] = _switched(sensors, len(parts), rows, tables)
     text["tables"] = "\n".join(tables)
     return template.format(title=title, lanes=lanes, first_sensor=len(parts), **text, **rows.first, **sizes)
+
+
+def _following(i: int, rows: Rows, swung: Sequence[int]) -> list[str]:
+    """Code of what input i is in a stage of the integrator, and of its rate of change where the equation needs it."""
+    b1, b2, b3 = (f"bent[m, {i}, {j}, l]" for j in range(3))
+    rates = [_cell(rows["rate"] + j) for j, own in enumerate(swung) if own == i]
+    return [
+        f"m = first + k - back[s, {i}, l]",
+        f"at = late[s, {i}, l] + INSTANT[q] * step[s, l] / dt",
+        f"{_cell(rows['w'] + i)} = acting[m, {i}, l] + at * ({b1} + at * ({b2} + at * {b3}))",
+        *(f"{rate} = ({b1} + at * (2.0 * {b2} + at * 3.0 * {b3})) / dt" for rate in rates),
+    ]
 
 
 _CELL = re.compile(r"W\[(\d+) \* LANES \+ l\]")

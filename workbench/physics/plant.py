@@ -29,6 +29,9 @@ from workbench.physics.sample_time import other_time
 from workbench.physics.symbolic import column, entries, symbolic_numpy
 from workbench.records import field, record
 
+HELD = "held"
+COURSES = (HELD, "linear", "spline")  # of an input from one sample to the next
+
 
 @record
 class Plant:
@@ -56,6 +59,10 @@ class Plant:
 
     meaning: what channels and places are, in words, {"v1": "speed of the platform"}.
 
+    between: what inputs that a record holds do between its samples, {"F": "spline"}: what an amplifier holds is held, as is every
+    input by default; what was measured while it moved goes on, by a straight line ("linear") or a cubic spline through its
+    samples. What a controller of the workbench commands is held.
+
         >>> MOTOR.output_names, MOTOR.equilibrium(w=40.0, way=5.0)[1].round(1)  # U [V] that holds 40 rad/s
         (('n', 'way'), array([6.]))
     """
@@ -80,6 +87,7 @@ class Plant:
     discrete: bool = False
     meaning: Mapping[str, str] = field(default_factory=dict)
     own_effects: tuple[Effect, ...] = ()
+    between: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
         for kind, channels in (("state", self.states), ("input", self.inputs), ("output", self.outputs)):
@@ -111,6 +119,14 @@ class Plant:
                 check_known("state", port.tension, self.state_names, file=self.name)
             if hasattr(port, "arm"):
                 check_known("input", port.arm, self.input_names, file=self.name)
+        for name, course in self.between.items():
+            check_known("input", name, self.input_names, file=self.name)
+            if course not in COURSES:
+                mend = f"one of {', '.join(COURSES)}"
+                raise InputError(f"{course!r} between samples", file=self.name, channel=name, mend=mend)
+        if self.discrete and self.curved:
+            mend = "it is known at its samples alone: leave `between` out"
+            raise InputError("a discrete plant with inputs that go on between samples", file=self.name, mend=mend)
         check_own(self.own_effects, self.all_ports, self.name)
 
     # ---- names ---------------------------------------------------------------------------------------------------
@@ -127,6 +143,11 @@ class Plant:
     def commanded(self) -> tuple[str, ...]:
         """Names of the inputs that an actuator drives; the others move on their own."""
         return tuple(c.name for c in self.inputs if c.role != "schedule")
+
+    @cached_property
+    def curved(self) -> dict[str, str]:
+        """Inputs that go on between their samples, and how."""
+        return {name: course for name, course in self.between.items() if course != HELD}
 
     @cached_property
     def needed(self) -> tuple[str, ...]:

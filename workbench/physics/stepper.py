@@ -1,11 +1,18 @@
 """The compiled step: plant equation, effects and sampled controller, in blocks of lanes.
 
-Between samples the inputs are held. A hold that a dead time shifts changes inside the sample: the integrator's grid gets one
-more point for each input, placed where its hold changes, so that every delay is exact and a delay of 0 adds a step of length
-0. Effects are numbers in the work array: switching one on compiles nothing.
+Between samples the inputs are held, or those of a record go on as its plant says (`Plant.between`):
+
+    u(t) = u_k + (u_k+1 - u_k) s + c(s),   v(t) = v_k + (v_k+1 - v_k) s + g c(s),   s = t / dt - k
+
+with what an actuator makes of them, v, by its gain g there: c is a cubic, 0 at both ends and everywhere on a straight line.
+
+A hold that a dead time shifts changes inside the sample: the integrator's grid gets one more point for each input, placed where
+its hold changes, so that every delay is exact and a delay of 0 adds a step of length 0. Effects are numbers in the work array:
+switching one on compiles nothing.
 """
 
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -14,6 +21,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from workbench.errors import InputError
 from workbench.physics.controller import Controller, Playback, Stepped, rho_of, schedules_of
@@ -23,6 +31,7 @@ from workbench.physics.plant import Plant, shares
 from workbench.physics.symbolic import column, entries, symbolic_numpy
 from workbench.records import field, record
 
+CUBIC, TINY = 4, 1e-300  # samples of a spline; of an input that does not move
 FEW = 2  # runs that take less time in the scalar kernel than in a block of the other
 
 
@@ -94,6 +103,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "u": nu, "v": nu, "w": nu, "r": len(controller.references),
         "c": len(controller.init()), "g": len(controller.gains), "p": len(plant.parameters), "eta": len(plant.slots), "t": 1,
         "h": 1, "gaps": len(plant.gaps), "last": len(plant.swinging), "rate": len(plant.swinging),
+        **dict.fromkeys(("reach", "steep"), nu if following(plant, controller) else 0),
     }  # fmt: skip
     for name, size in sizes.items():
         rows.take(name, size)
@@ -110,7 +120,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
     wiring = {
         "read": (["mem", "error", "eta"], ["y"]),
         "control": (["c", "r", "y", "g", "u"], ["u", "c"]),
-        "drive": (["u", "eta", "t", "gaps", "last"], ["v", "gaps", "last", "rate"]),
+        "drive": (["u", "eta", "t", "gaps", "last", "reach"], ["v", "gaps", "last", "rate", "steep"]),
         "show": (["x", *direct, "p"], ["before"]),
         "midst": (["halfway", *direct, "p"], ["midway"]),
         "measure": (["x", *direct, "p"], ["after"]),
@@ -130,7 +140,15 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "nx": all_states, "ny": ny, "nu": nu, "nr": len(controller.references), "nm": len(plant.memories), "np": nx, "deep": deep,
     }  # fmt: skip
     title = f"{plant.name} under {type(controller).__name__}"
-    return load_kernel(kernel_source(title, lanes, rows, codes, parts, memories, numbers, discrete=plant.discrete)), rows
+    curved, swung = ([plant.input_names.index(n) for n in own] for own in (following(plant, controller), plant.swinging))
+    source = kernel_source(title, lanes, rows, codes, parts, memories, numbers, plant.discrete, curved, swung)
+    return load_kernel(source), rows
+
+
+def following(plant: Plant, controller: Controller) -> list[str]:
+    """Inputs of a record that are played and go on between their samples."""
+    played = isinstance(controller, Playback) and _every(plant, controller) == 1
+    return [name for name in controller.actuated if name in plant.curved] if played else []
 
 
 def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
@@ -150,6 +168,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
     )  # fmt: skip
     full, h, reached = ca.SX.sym("full", nx), ca.SX.sym("h"), ca.SX.sym("reached", len(plant.outputs))
     c, r = ca.SX.sym("c", len(controller.init())), ca.SX.sym("r", len(controller.references))
+    reach = ca.SX.sym("reach", len(plant.inputs) if following(plant, controller) else 0)
     y, g = ca.SX.sym("y", len(plant.outputs)), ca.SX.sym("g", len(controller.gains))
     with symbolic_numpy():
         after = plant.output(entries(full), p, u)
@@ -157,6 +176,7 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         reading = plant.read(entries(mem), entries(error), eta)
         acting = plant.drive(u, eta, s["t"], entries(gaps))
         crossed = plant.cross_gaps(u, eta, s["t"], entries(gaps))
+        steep = _steepness(plant, u, eta, s["t"], entries(gaps), entries(reach)) if following(plant, controller) else []
         swung = [u[plant.input_names.index(name)] for name in plant.swinging]
         # before the first sample nobody knows how an input moved
         rate = [(new - old) / plant.dt * (s["t"] > 0.0) for new, old in zip(swung, entries(last), strict=True)]
@@ -169,7 +189,9 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
         "control": ca.Function("control", [c, r, y, g, s["u"]], [ca.vertcat(*inputs.values()), column(state)]),
         "read": ca.Function("read", [mem, error, s["eta"]], [column(reading)]),
         "drive": ca.Function(
-            "drive", [s["u"], s["eta"], s["t"], gaps, last], [column(acting), column(crossed), column(swung), column(rate)]
+            "drive",
+            [s["u"], s["eta"], s["t"], gaps, last, reach],
+            [column(acting), column(crossed), column(swung), column(rate), column(steep)],
         ),
         "rates": ca.Function("rates", within, [slope]),
         "nominal": ca.Function("nominal", list(s.values()), [bare]),
@@ -181,6 +203,15 @@ def _functions(plant: Plant, controller: Controller) -> dict[str, ca.Function]:
             for i, own in enumerate(shares(memory, len(plant.outputs)))
         },
     }
+
+
+def _steepness(plant: Plant, u: list, eta: list, t: ca.SX, gaps: list, reach: list) -> list:
+    """Gains of the actuators from u - reach to u + reach: at a stop an input stands on the kink of a dead zone, if only of one of
+    width 0.
+    """
+    sides = ([v + way * d for v, d in zip(u, reach, strict=True)] for way in (1.0, -1.0))
+    up, down = (plant.drive(side, eta, t, gaps) for side in sides)
+    return [(a - b) / (2.0 * d + TINY) for a, b, d in zip(up, down, reach, strict=True)]
 
 
 def cores() -> int:
@@ -203,10 +234,11 @@ def run(
     rows = _kernel(plant, controller, blocks[0][1])[1]
     full = rows.size["x"] + rows.size["mem"] if steering and steering.full else 0
     sizes = len(plant.states), len(plant.outputs), len(plant.inputs), full
+    followed = {name: controller.references.index(name) for name in following(plant, controller)}
 
     def block(first: int, width: int) -> list[np.ndarray]:
         pick = np.minimum(np.arange(first, first + width), R - 1)  # the last block repeats the last run
-        own = _Block(plant, *_kernel(plant, controller, width), lanes, pick, substeps, every, steering)
+        own = _Block(plant, *_kernel(plant, controller, width), lanes, pick, substeps, every, steering, followed)
         own.advance(0, N)
         return [np.moveaxis(source[:, :n, : R - first], 2, 0) for source, n in zip(own.results(), sizes, strict=True)]
 
@@ -259,6 +291,7 @@ class _Block:
         substeps: int,
         every: int,
         steering: Steering | None = None,
+        followed: Mapping[str, int] = {},
     ):
         L, N = len(pick), lanes.reference.shape[1]
         W = np.zeros((rows.total, L))
@@ -274,10 +307,15 @@ class _Block:
         W[rows.span("u")] = lanes.hold[pick].T
         W[rows.span("gaps")] = np.reshape(plant.settle_gaps(lanes.hold[pick].T, eta), (-1, L))
 
-        step, back, first = _grid(plant, lanes.effects[pick], substeps, N)
+        step, back, late, first = _grid(plant, lanes.effects[pick], substeps, N)
         acting = np.empty((first + N, len(plant.inputs), L))
         acting[:first] = lanes.hold[pick].T
         states = np.empty((N, rows.size["x"], L))
+        bend = np.zeros((N if followed else 0, len(plant.inputs), 3, L))
+        for name, i in followed.items():
+            given = lanes.reference[:1] if lanes.reference.strides[0] == 0 else lanes.reference[pick]
+            bend[:, plant.input_names.index(name)] = _bends(given[:, :, i].T, plant.curved[name])
+        bent = np.zeros((first + N if followed else 0, *bend.shape[1:]))
         measured, commands = np.empty((N, len(z), L)), np.empty((N, len(plant.inputs), L))
         reference, disturbance, noise = (_by_lane(source, pick) for source in (lanes.reference, lanes.disturbance, lanes.noise))
         felt = np.asarray(eta.any(axis=1)).tolist()
@@ -301,7 +339,8 @@ class _Block:
         self._arrays = W.ravel(), reference, disturbance, noise, step, back, acting, states, measured, commands
         on = np.array([*parts, *remembering])
         self._rest = (
-            first, every, plant.dt, on, affected, any(remembering), observed, gain, corrected, restart, push, remembered, decay
+            first, every, plant.dt, on, affected, any(remembering), observed, gain, corrected, restart, push, remembered, decay,
+            bend, bent, late,
         )  # fmt: skip
 
     def advance(self, begin: int, end: int) -> None:
@@ -314,6 +353,17 @@ class _Block:
         return self.states, self.measured, self.commands, full
 
 
+def _bends(u: np.ndarray, course: str) -> np.ndarray:
+    """b1, b2, b3 of u(t) = u_k + b1 s + b2 s^2 + b3 s^3 over each sample, (N, 3, L), from u (N, L); 0 after the last one."""
+    N, L = u.shape
+    found = np.zeros((N, 3, L))
+    if course == "linear" or N < CUBIC:
+        found[:-1, 0] = np.diff(u, axis=0)
+    else:
+        found[:-1] = CubicSpline(np.arange(N), u).c[2::-1].transpose(1, 0, 2)
+    return found
+
+
 def _by_lane(source: np.ndarray, pick: np.ndarray) -> np.ndarray:
     """Runs `pick` of source (R, N, n) as (N, n, L); quicker where all runs share the same numbers."""
     if source.strides[0] == 0:
@@ -324,7 +374,7 @@ def _by_lane(source: np.ndarray, pick: np.ndarray) -> np.ndarray:
 def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int, memory: Any) -> tuple[Trajectories, list]:
     """One run under a law that is asked sample by sample, from this memory on; and its memories. Otherwise as `run`."""
     every = _every(plant, controller)
-    played = Playback(controller.actuated, plant.dt)
+    plant, played = replace(plant, between={}), Playback(controller.actuated, plant.dt)  # what is commanded is held
     N = lanes.reference.shape[1]
     driven = replace(lanes, gains=np.empty((1, 0)), memory=np.empty((1, 0)), reference=np.zeros((1, N, len(controller.actuated))))
     kernel, rows = _kernel(plant, played, SCALAR)
@@ -347,8 +397,9 @@ def run_stepwise(plant: Plant, controller: Stepped, lanes: Lanes, substeps: int,
     return Trajectories(states[:, :, : len(plant.states)], measured, commands), memories
 
 
-def _grid(plant: Plant, effects: np.ndarray, substeps: int, samples: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Step lengths (S, L), for each step how many samples back the acting input was commanded (S, nu, L), and the longest.
+def _grid(plant: Plant, effects: np.ndarray, substeps: int, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Step lengths (S, L); for each step how many samples back the acting input was commanded, where in that sample the step
+    begins, as a share of it, both (S, nu, L); and the longest way back.
 
     Without delays S = substeps. With them one step more for each input: the sorted union of the equal grid and the instants
     at which a shifted hold changes. A delay beyond the run's samples is that of the run: nothing arrives.
@@ -367,7 +418,9 @@ def _grid(plant: Plant, effects: np.ndarray, substeps: int, samples: int) -> tup
     step = np.diff(points, axis=0)
     older = points[:-1, None, :] < change[None] - 1e-15 * dt
     back = whole[None] + older
-    return np.ascontiguousarray(step), np.ascontiguousarray(back.astype(np.int64)), int(back.max(initial=0))
+    late = (points[:-1, None, :] - change[None]) / dt + older
+    step, back, late = (np.ascontiguousarray(own) for own in (step, back.astype(np.int64), late))
+    return step, back, late, int(back.max(initial=0))
 
 
 def substeps_for(plant: Plant, parameters: np.ndarray, effects: np.ndarray, start: np.ndarray, hold: np.ndarray) -> np.ndarray:
