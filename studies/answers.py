@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def answer(records: Sequence[Path], held_out: Sequence[Path], plant: str, out: P
         "limits": {f"{d['effect']}@{d['at']}": d["value"] for d in said["detection_limits"]},
         "remainder": [[r["channel"], r["over"], r["p_value"], r["share"]] for r in said["remainder"]],
         "recalibrated": {name: [e["nominal"], e["value"]] for name, e in said["recalibrated"].items()},
-        "found": {"parameters": said["parameters"], "effects": said["effects"]},
+        "found": {"parameters": said["parameters"], "effects": said["effects"], "between": said["between"]},
         "first": first, "says_worse": code == NOT_HANDED_OUT or any("worse" in line.lower() for line in first),
         "seconds": seconds,
     }  # fmt: skip
@@ -72,7 +73,9 @@ def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
 
 def plant_of(row: Row, plant: Plant) -> Plant:
     """The plant with the parameters and effects that the answer of a row has found, whether it was handed out or not."""
-    return extension(plant, "", row["found"]["parameters"], row["found"]["effects"]).of(plant)
+    found = row["found"]
+    following = replace(plant, between={**plant.between, **found.get("between", {})})
+    return extension(following, "", found["parameters"], found["effects"]).of(plant)
 
 
 def misses(plant: Plant, e: Experiment) -> dict[str, np.ndarray]:

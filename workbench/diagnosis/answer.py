@@ -130,6 +130,7 @@ class Diagnosis:
     """See the module. effects and parameters extend the plant: what `simulate` takes.
 
     similarity (m, m): share of the signature of the effect in a row that the one in a column can mimic, for the keys in `tested`.
+    between: inputs that go on between their samples although the plant does not say so, see `Plant`.
     signs: parameters that had to leave their tolerance. compared: how far free runs were, where the plant is unstable.
     objections: where the extended plant is worse on held-out records than the plant that it replaces, so that it is not handed
     out.
@@ -152,6 +153,7 @@ class Diagnosis:
     compared: str = ""
     objections: tuple[str, ...] = ()
     seconds: float = 0.0
+    between: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON of a diagnosis, provenance apart."""
@@ -168,6 +170,7 @@ class Diagnosis:
                 {"channel": r.channel, "over": r.variable, "p_value": r.p_value, "share": r.share, "sentence": r.sentence}
                 for r in self.remainder
             ],
+            "between": dict(self.between),
             "notes": [*self.signs, *([self.compared] if self.compared else []), *self.notes],
             "objections": list(self.objections),
         }

@@ -152,19 +152,7 @@ def calibrate(
             file=plant.name,
             mend="give a --bound; the numbers of an identified model are fitted by identify, and diagnose says what it lacks",
         )
-    held: dict[str, float] = {}
-    while True:
-        own = opened.with_parameters(held)
-        at = predictor(own, dataset)
-        done = recalibrated(at, own=unknowns(at, names=[name for name in free if name not in held]))
-        lasting(Model(done.predictor, done.fit), plant.name)
-        fitted = _fitted(opened, done, held)
-        beyond = {f.name: _beyond(f, bounds[f.name]) for f in fitted if f.name in bounds and f.name not in held}
-        worst = max(beyond, key=lambda name: beyond[name], default="")
-        if not worst or beyond[worst] <= 0.0:
-            break
-        value = next(f.value for f in fitted if f.name == worst)
-        held[worst] = float(np.clip(value, *bounds[worst]))
+    done, held = _inside(opened, dataset, free, bounds)
     judge = Judge(held_out or dataset, held_out is not None)
     model = judge.better_ahead(Model(done.predictor, done.fit))
     freely = Calibrated(model.predictor, model.fit)
@@ -188,6 +176,22 @@ def calibrate(
     return Calibration(
         plant.with_parameters(values), fitted, _pairs(fitted, done), starts, noise, objections, judge.compared(model)
     )
+
+
+def _inside(plant: Plant, dataset: Dataset, free: Sequence[str], bounds: Bounds) -> tuple[Calibrated, dict[str, float]]:
+    """A fit of the parameters `free`, and those of them that are held at one of their bounds."""
+    held: dict[str, float] = {}
+    while True:
+        at = predictor(plant.with_parameters(held), dataset)
+        done = recalibrated(at, own=unknowns(at, names=[name for name in free if name not in held]))
+        lasting(Model(done.predictor, done.fit), plant.name)
+        fitted = _fitted(plant, done, held)
+        beyond = {f.name: _beyond(f, bounds[f.name]) for f in fitted if f.name in bounds and f.name not in held}
+        worst = max(beyond, key=lambda name: beyond[name], default="")
+        if not worst or beyond[worst] <= 0.0:
+            return done, held
+        value = next(f.value for f in fitted if f.name == worst)
+        held[worst] = float(np.clip(value, *bounds[worst]))
 
 
 def _opened(plant: Plant, names: Sequence[str] | None, bounds: Bounds) -> Plant:

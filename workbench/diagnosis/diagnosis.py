@@ -28,12 +28,13 @@ from workbench.diagnosis.causes import (
 )
 from workbench.diagnosis.check.records import check
 from workbench.diagnosis.combinations import divided
+from workbench.diagnosis.courses import followed, told
 from workbench.diagnosis.equations import Law
 from workbench.diagnosis.experiments import Template
 from workbench.diagnosis.findings import Found, forgiven, judged, searched, tells, with_free_runs, with_rounding
 from workbench.diagnosis.fit import gauss_newton
 from workbench.diagnosis.free_run import filtered
-from workbench.diagnosis.policy import ALPHA, HELPFUL, LONG_RUN
+from workbench.diagnosis.policy import ALPHA, HELPFUL, LONG_RUN, TIE
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import recalibrated
 from workbench.diagnosis.referee import Judge, as_given
@@ -62,8 +63,8 @@ def diagnose(
     drift: whether torques that nobody logged may come and go as noise. Such a noise may take in what changes at reversals only,
     friction and offset: where it leaves something that no effect explains, the search is made again without it, and counts if
     what it names helps a second ahead. Parameters and sizes are those of the likelihood or of the free run, whichever errs less
-    a second and the full run ahead. Raises InputError for records that cannot be of this plant, unless the user takes them
-    `anyway`; see `check`.
+    a second and the full run ahead. Inputs that were measured while they moved are told from held ones, see `courses`. Raises
+    InputError for records that cannot be of this plant, unless the user takes them `anyway`; see `check`.
     """
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset, anyway=anyway)]
@@ -71,7 +72,15 @@ def diagnose(
     progress("recalibrating")
     given = as_given(plant, dataset, drift=drift, threads=threads)
     base = _as_coloured(lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name))
-    found = judged(searched(base, np.inf if drift else 1.0 - HELPFUL, progress), judge, longer=not drift)
+    most, between = np.inf if drift else 1.0 - HELPFUL, dict[str, str]()
+    found = judged(searched(base, most, progress), judge, longer=not drift)
+    if moving := followed(base):
+        progress("again, with inputs that go on between their samples")
+        other = judged(searched(moving, most, progress), judge, longer=not drift)
+        if (less := found.model.bic - other.model.bic) > TIE:
+            found, plant = other, moving.predictor.plant
+            between = {name: course for name, course in plant.between.items() if name not in given.predictor.plant.between}
+            notes += [f"{told(between)} between samples: held they would make the records less likely, by {less:.0f} in BIC"]
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or forgiven(judge, found)):
         progress("again, without torques that come and go")
@@ -88,12 +97,13 @@ def diagnose(
     found = with_free_runs(found, judge)
     progress("gains on held-out records")
     if len(found.base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
-        given = as_given(plant, dataset, drift=False, threads=threads)
+        given = as_given(given.predictor.plant, dataset, drift=False, threads=threads)
     if len(found.base.predictor.noise.coloured):
         coloured = with_coloured_noise(given, np.zeros(len(plant.slots)))
         given = coloured if coloured.sound else given
     made = _answered(plant, found, given, judge, laws, together and len(found.steps) > 1)
-    return replace(made, next_experiment=following, notes=(*notes, *made.notes), seconds=time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    return replace(made, next_experiment=following, notes=(*notes, *made.notes), seconds=seconds, between=between)
 
 
 def _without_torques(

@@ -22,13 +22,17 @@ SCHEMA, VERSION = "gain-scheduling-workbench/plant", 1
 
 @record
 class Extension:
-    """Parameters and effects of the plant called `plant`, which `base` says where to find, and where the numbers come from."""
+    """Parameters and effects of the plant called `plant`, which `base` says where to find, and where the numbers come from.
+
+    between: what inputs of a record do between their samples, see `Plant`.
+    """
 
     plant: str
     base: str
     parameters: Mapping[str, float]
     effects: EffectSizes = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    between: Mapping[str, str] = field(default_factory=dict)
 
     def of(self, plant: Plant, *, file: object = None) -> Plant:
         """The plant with these numbers as its new normal: whatever runs it runs with them, and effects may be added on top.
@@ -37,15 +41,17 @@ class Extension:
         """
         if plant.name != self.plant:
             raise InputError(f"extends plant {self.plant!r}, not {plant.name!r}", file=file, mend=f"give {self.base} instead")
-        extended = replace(plant, effects=_together(plant.effects, self.effects))
+        effects, between = _together(plant.effects, self.effects), {**plant.between, **self.between}
+        extended = replace(plant, effects=effects, between=between)
         extended.effect_vector()  # refuses what does not fit
         return extended.with_parameters(self.parameters)  # last: what it traces is what is handed out
 
     def save(self, path: str | Path) -> Path:
         """Write the plant file (schema and version inside)."""
         content = {"schema": SCHEMA, "version": VERSION, "plant": self.plant, "base": self.base}
-        numbers = {"parameters": self.parameters, "effects": self.effects, "provenance": self.provenance}
-        return write_json(path, content | numbers)
+        numbers = {"parameters": self.parameters, "effects": self.effects}
+        between = {"between": dict(self.between)} if self.between else {}
+        return write_json(path, content | numbers | between | {"provenance": self.provenance})
 
 
 def extension(
@@ -55,9 +61,12 @@ def extension(
     effects: EffectSizes | None = None,
     provenance: Mapping | None = None,
 ) -> Extension:
-    """`plant` with fitted parameters and effects beside those it already has; every parameter is named, fitted or not."""
+    """`plant` with fitted parameters and effects beside those it already has; every parameter is named, fitted or not.
+
+    What its inputs do between samples is kept too.
+    """
     values = dict(zip((q.name for q in plant.parameters), plant.parameter_vector(parameters).tolist(), strict=True))
-    return Extension(plant.name, base, values, _together(plant.effects, effects or {}), provenance or {})
+    return Extension(plant.name, base, values, _together(plant.effects, effects or {}), provenance or {}, dict(plant.between))
 
 
 def load_extension(path: str | Path) -> Extension:
@@ -72,7 +81,10 @@ def load_extension(path: str | Path) -> Extension:
             raise InputError(f"field {name!r} is missing or no {kind.__name__}", file=path, mend="write the plant file again")
     effects = {key: _numbers(path, key, numbers) for key, numbers in content["effects"].items()}
     parameters = _numbers(path, "parameters", content["parameters"])
-    return Extension(content["plant"], content["base"], parameters, effects, content.get("provenance", {}))
+    between = content.get("between", {})
+    if not isinstance(between, dict):
+        raise InputError("field 'between' is no dict", file=path, mend='{"F": "linear"}, or leave it out')
+    return Extension(content["plant"], content["base"], parameters, effects, content.get("provenance", {}), between)
 
 
 def _numbers(path: str | Path, place: str, content: Any) -> dict[str, float]:

@@ -171,12 +171,12 @@ def remember(W, on):
 @njit(
     "void(f8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], i8[:, :, ::1], f8[:, :, ::1],"
     "f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], i8, i8, i8, i8, f8, b1[::1], b1, b1, f8[:, ::1], f8[:, :, ::1],"
-    "i8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1], f8[:, :, :, ::1], f8[:, :, :, ::1], f8[:, :, ::1])",
+    "i8[::1], f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], f8[::1], f8[:, :, :, ::1], f8[:, :, :, ::1], f8[:, :, ::1], b1[::1])",
     cache=True, nogil=True, error_model="numpy",
 )
 def run(
     W, reference, disturbance, noise, step, back, acting, states, measured, commands, begin, end, first, every, dt, on, affected,
-    remembering, observed, gain, corrected, restart, push, remembered, decay, bend, bent, late
+    remembering, observed, gain, corrected, restart, push, remembered, decay, bend, bent, late, follows
 ):
     """Advance LANES runs through the samples from `begin` to `end`; see workbench.physics.stepper for the arrays."""
     for l in range(LANES):
@@ -220,8 +220,8 @@ _BEND = """        for i in range({nu}):
                     bent[first + k, i, j, l] = W[({steep} + i) * LANES + l] * bend[k, i, j, l]
     W[:] = saved
     for k in range(first + begin, first + end):
-        for i in CURVED:
-            for l in range(LANES):
+        for i in range({nu}):
+            for l in range(LANES if follows[i] else 0):
                 ahead = acting[k + 1, i, l] - acting[k, i, l] if k + 1 < first + end else 0.0
                 bent[k, i, 0, l] = ahead - bent[k, i, 1, l] - bent[k, i, 2, l]
 """
@@ -389,12 +389,12 @@ def kernel_source(
     sensors: Sequence[Switched],
     sizes: Mapping[str, int],
     discrete: bool,
-    curved: Sequence[int],
+    curved: bool,
     swung: Sequence[int],
 ) -> str:
     """The text of a kernel module; entry j of its `on` switches the j-th of parts and sensors together.
 
-    curved: inputs that go on between their samples; swung: inputs whose rate of change the equation needs.
+    curved: whether inputs may go on between their samples; swung: inputs whose rate of change the equation needs.
     """
     indent, template = (_INDENT_DISCRETE, _DISCRETE) if discrete else (_INDENT, _CURVED if curved else _CONTINUOUS)
     once = [line for code in (*codes.values(), *(part.code for part in (*parts, *sensors))) for line in code.once]
@@ -411,9 +411,9 @@ def kernel_source(
             f"{_cell(stage + i)} = {_cell(x + i)} + ahead * r{i}",
         )
     ]
-    blocks["follow"] = [line for i in curved for line in _following(i, rows, swung)]
+    blocks["follow"] = [line for i in range(sizes["nu"]) for line in _following(i, rows, swung)]
     text = {name: "\n".join(" " * indent[name] + line for line in lines or ["pass"]) for name, lines in blocks.items()}
-    tables = [f"CURVED = np.array({list(curved)})"] if curved else []
+    tables: list[str] = []
     text["parts"] = _switched(parts, 0, rows, tables)
     text["sensors"] = _switched(sensors, len(parts), rows, tables)
     text["tables"] = "\n".join(tables)
@@ -428,7 +428,7 @@ def _following(i: int, rows: Rows, swung: Sequence[int]) -> list[str]:
         f"m = first + k - back[s, {i}, l]",
         f"at = late[s, {i}, l] + INSTANT[q] * step[s, l] / dt",
         f"{_cell(rows['w'] + i)} = acting[m, {i}, l] + at * ({b1} + at * ({b2} + at * {b3}))",
-        *(f"{rate} = ({b1} + at * (2.0 * {b2} + at * 3.0 * {b3})) / dt" for rate in rates),
+        *(f"{rate} = ({b1} + at * (2.0 * {b2} + at * 3.0 * {b3})) / dt if follows[{i}] else {rate}" for rate in rates),
     ]
 
 

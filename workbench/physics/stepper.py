@@ -140,7 +140,7 @@ def _kernel(plant: Plant, controller: Controller, lanes: int) -> tuple[ModuleTyp
         "nx": all_states, "ny": ny, "nu": nu, "nr": len(controller.references), "nm": len(plant.memories), "np": nx, "deep": deep,
     }  # fmt: skip
     title = f"{plant.name} under {type(controller).__name__}"
-    curved, swung = ([plant.input_names.index(n) for n in own] for own in (following(plant, controller), plant.swinging))
+    curved, swung = bool(following(plant, controller)), [plant.input_names.index(name) for name in plant.swinging]
     source = kernel_source(title, lanes, rows, codes, parts, memories, numbers, plant.discrete, curved, swung)
     return load_kernel(source), rows
 
@@ -340,7 +340,7 @@ class _Block:
         on = np.array([*parts, *remembering])
         self._rest = (
             first, every, plant.dt, on, affected, any(remembering), observed, gain, corrected, restart, push, remembered, decay,
-            bend, bent, late,
+            bend, bent, late, np.array([name in followed for name in plant.input_names]),
         )  # fmt: skip
 
     def advance(self, begin: int, end: int) -> None:
