@@ -26,17 +26,17 @@ def told(between: Mapping[str, str]) -> str:
     return " and ".join(f"{name} goes on as {words[course]}" for name, course in between.items())
 
 
-def followed(base: Model) -> Model | None:
+def followed(base: Model, sizes: np.ndarray) -> Model | None:
     """The model with each input, one after the other, taken to go on between its samples as the records show most clearly; None
     where none does.
 
-    Something else that is missing may ask for it too: with what is found beside them, held inputs must be less likely in the end.
-    An input that the plant says something about (`Plant.between`), that stands in many samples, or whose course makes no
-    difference, stays as it is.
+    sizes (ne): small sizes of the effects that the model has. Something else that is missing may ask for an early input too: with
+    what is found beside them, held inputs must be less likely in the end. An input that the plant says something about
+    (`Plant.between`), that stands in many samples, or whose course makes no difference, stays as it is.
     """
-    best, nothing = base, np.zeros(len(base.predictor.plant.slots))
-    for name in (name for name in _moving(base) if _early(base, name, nothing)):
-        tried = [settled(own, nothing) for course in COURSES if course != HELD and (own := _with(best, name, course, nothing))]
+    best = base
+    for name in (name for name in _moving(base) if _early(base, name, sizes)):
+        tried = [settled(own, sizes) for course in COURSES if course != HELD and (own := _with(best, name, course, sizes))]
         tried = [own for own in tried if own.sound and own.deviance < best.deviance - WORTH and left_out(best, own).holds]
         best = min((best, *tried), key=lambda model: model.deviance)
     return None if best is base else best

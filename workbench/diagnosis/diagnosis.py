@@ -74,7 +74,9 @@ def diagnose(
     base = _as_coloured(lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name))
     most, between = np.inf if drift else 1.0 - HELPFUL, dict[str, str]()
     found = judged(searched(base, most, progress), judge, longer=not drift)
-    if moving := followed(base):
+    # a cause that only makes up for a hold is worth nothing beside what it makes up for
+    moving = followed(base, found.lesser.sizes)
+    if moving and (found.model is base or followed(found.model, found.lesser.sizes)):
         progress("again, with inputs that go on between their samples")
         other = judged(searched(moving, most, progress), judge, longer=not drift)
         if (less := found.model.bic - other.model.bic) > TIE:

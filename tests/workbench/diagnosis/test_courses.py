@@ -13,7 +13,6 @@ from workbench.data import Dataset, Experiment
 from workbench.diagnosis import courses
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.calibrate import calibrate
-from workbench.diagnosis.courses import followed
 from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import recalibrated
@@ -51,6 +50,10 @@ def records(seed, *, held, samples=500, count=2, friction=0.0):
 def fitted(data, plant=AXIS):
     done = recalibrated(predictor(plant, data))
     return Model(done.predictor, done.fit)
+
+
+def followed(model):
+    return courses.followed(model, np.zeros(len(model.predictor.plant.slots)))
 
 
 @pytest.mark.parametrize("seed", range(4))
