@@ -9,7 +9,6 @@ import time
 import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +73,7 @@ def _cause(c: Mapping[str, Any]) -> dict[str, Any]:
 def plant_of(row: Row, plant: Plant) -> Plant:
     """The plant with the parameters and effects that the answer of a row has found, whether it was handed out or not."""
     found = row["found"]
-    following = replace(plant, between={**plant.between, **found.get("between", {})})
-    return extension(following, "", found["parameters"], found["effects"]).of(plant)
+    return extension(plant.with_courses(found.get("between", {})), "", found["parameters"], found["effects"]).of(plant)
 
 
 def misses(plant: Plant, e: Experiment) -> dict[str, np.ndarray]:

@@ -87,7 +87,8 @@ def main(
         laws.append(judged(law, records))
     free = {one.law.name: in_free_run(one, records) for one in laws if one.law in FREE_RUNS and not quick}
     source = provenance({"study": "emps", "quick": quick, "data": data}, records.files)
-    extension(POSITIONING_AXIS, POSITIONING_AXIS.name, found.parameters, found.effects, source).save(folder / PLANT_FILE)
+    axis = POSITIONING_AXIS.with_courses(found.between)
+    extension(axis, axis.name, found.parameters, found.effects, source).save(folder / PLANT_FILE)
     numbers = [_law_json(one, laws[0], records) for one in laws]
     content = to_dict(found) | {"extended": str(folder / PLANT_FILE), "laws": numbers, "fitted to free runs": free}
     content["provenance"] = source

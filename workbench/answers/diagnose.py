@@ -6,7 +6,6 @@ found.save("runs/monday")       # diagnosis.json, extended.json, next_experiment
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +55,7 @@ def diagnose(
     given = prepared(plant, records, held_out, dt, anyway)
     tests = proposable(plant, templates, given.own)
     found = searched(plant, given.own, given.held_out, templates=tests, progress=progress, anyway=anyway)
-    plant = replace(plant, between={**plant.between, **found.between}) if found.between else plant
+    plant = plant.with_courses(found.between)
     progress("simulating data sheet, recalibrated and extended plant")
     return DiagnosisResult(plant, found, given, stages(plant, found, given.own, given.shown), accept)
 

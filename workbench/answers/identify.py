@@ -291,7 +291,9 @@ def _chosen(choice: Choice) -> str:
     found = ", ".join(f"{name} {fit:.1f}" for name, fit in choice.fit.items())
     fits = f"chosen: {choice.method}; free-run FIT on two fifths of the estimation records that it was not fitted to: {found}"
     ahead = [name for name, fit in choice.fit.items() if fit > choice.fit[choice.method]]
-    unsure = f"; {' and '.join(ahead)}, scheduled, may be better by chance: worse on a part of the records" if ahead else ""
+    unsure = (
+        f"; {' and '.join(ahead)} may be ahead by chance: worse than a model that is not scheduled on a part" if ahead else ""
+    )
     return fits + unsure
 
 

@@ -70,7 +70,7 @@ def _early(model: Model, name: str, sizes: np.ndarray) -> bool:
 
 def _with(model: Model, name: str, course: str, sizes: np.ndarray) -> Model | None:
     """The model with another course of an input; None where that is no better."""
-    plant = replace(model.predictor.plant, between={**model.predictor.plant.between, name: course})
+    plant = model.predictor.plant.with_courses({name: course})
     return _refitted(model, replace(model.predictor, plant=plant), replace(model.fit.unknowns, plant=plant), sizes)
 
 

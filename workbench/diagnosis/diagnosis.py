@@ -80,9 +80,9 @@ def diagnose(
         progress("again, with inputs that go on between their samples")
         other = judged(searched(moving, most, progress), judge, longer=not drift)
         if (less := found.model.bic - other.model.bic) > TIE:
-            found, plant = other, moving.predictor.plant
-            between = {name: course for name, course in plant.between.items() if name not in given.predictor.plant.between}
-            notes += [f"{told(between)} between samples: held they would make the records less likely, by {less:.0f} in BIC"]
+            between = {n: course for n, course in moving.predictor.plant.between.items() if n not in plant.between}
+            found, plant = other, plant.with_courses(between)
+            notes.append(f"{told(between)} between samples: a hold is less likely, by {less:.0f} in BIC")
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or forgiven(judge, found)):
         progress("again, without torques that come and go")

@@ -46,7 +46,7 @@ class Judged:
         return float(np.mean(self.FIT))
 
     def surely_better(self, other: "Judged") -> bool:
-        """Whether it errs less on the geometric mean, and on none more by `LOSS`, or by more than `SURE` standard errors."""
+        """Whether its errors are smaller in the geometric mean, and none is larger by `LOSS` or the gain is beyond chance."""
         with np.errstate(divide="ignore", invalid="ignore"):
             gain = np.log(100.0 - np.array(other.FIT)) - np.log(100.0 - np.array(self.FIT))
             scatter = gain.std(ddof=1) / np.sqrt(len(gain))

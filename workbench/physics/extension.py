@@ -41,8 +41,7 @@ class Extension:
         """
         if plant.name != self.plant:
             raise InputError(f"extends plant {self.plant!r}, not {plant.name!r}", file=file, mend=f"give {self.base} instead")
-        effects, between = _together(plant.effects, self.effects), {**plant.between, **self.between}
-        extended = replace(plant, effects=effects, between=between)
+        extended = replace(plant.with_courses(self.between), effects=_together(plant.effects, self.effects))
         extended.effect_vector()  # refuses what does not fit
         return extended.with_parameters(self.parameters)  # last: what it traces is what is handed out
 

@@ -149,6 +149,10 @@ class Plant:
         """Inputs that go on between their samples, and how."""
         return {name: course for name, course in self.between.items() if course != HELD}
 
+    def with_courses(self, between: Mapping[str, str]) -> "Plant":
+        """The same plant with these inputs going on between their samples as it says here."""
+        return replace(self, between={**self.between, **between}) if between else self
+
     @cached_property
     def needed(self) -> tuple[str, ...]:
         """Inputs without which a record says nothing: the commanded ones; of a discrete plant all, 0 is no place to stand at."""

@@ -63,16 +63,9 @@ def test_a_scheduled_model_must_be_better_on_every_part_or_beyond_chance():
         assert _best({"moving": judged(*FIT, scheduled=True), "still": still}) == best, FIT
         assert _best({"moving": judged(*FIT, scheduled=True)}) == "moving"
     # of two scheduled ones the first that is sure; between models that do not move, the mean decides
-    assert (
-        _best(
-            {
-                "a": judged(95.0, 85.0, 60.0, 75.0, scheduled=True),
-                "b": judged(81.0, 61.0, 71.0, 71.0, scheduled=True),
-                "still": still,
-            }
-        )
-        == "b"
-    )
+    unsure = judged(95.0, 85.0, 60.0, 75.0, scheduled=True)
+    sure = judged(81.0, 61.0, 71.0, 71.0, scheduled=True)
+    assert _best({"a": unsure, "b": sure, "still": still}) == "b"
     assert _best({"still": still, "other": judged(90.0, 80.0, 68.0, 72.0)}) == "other"
 
 
