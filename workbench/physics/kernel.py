@@ -208,8 +208,7 @@ _DRIVE = """        for l in range(LANES):
                 commands[k, i, l] = W[({u} + i) * LANES + l]
 """
 # inputs of a record that go on between their samples: what acts at all samples comes first, and what leads from one to the next
-_SAVE = """    saved = W.copy()
-"""
+_SAVE = "    saved = W.copy()\n"
 _REACH = """        for i in range({nu}):
             for l in range(LANES):
                 W[({reach} + i) * LANES + l] = 0.5 * (abs(bend[k, i, 0, l]) + abs(bend[k, i, 1, l]) + abs(bend[k, i, 2, l]))
@@ -225,7 +224,6 @@ _BEND = """        for i in range({nu}):
                 ahead = acting[k + 1, i, l] - acting[k, i, l] if k + 1 < first + end else 0.0
                 bent[k, i, 0, l] = ahead - bent[k, i, 1, l] - bent[k, i, 2, l]
 """
-_FOLLOWED = "FOLLOWED"  # where the next one goes, if anywhere
 _FOLLOW = """                for l in range(LANES):
 {follow}
                 for i in range({nu} if len(decay) > 0 else 0):
@@ -282,15 +280,16 @@ _SLOPE = """        if affected:
             for l in range(LANES):
 {drifting}
 """
-_INTEGRATE = (
-    """        for s in range(len(step)):
-            for i in range({nu}):
+_STEP = """        for s in range(len(step)):
+"""
+_HOLD = """            for i in range({nu}):
                 for l in range(LANES):
                     W[({w} + i) * LANES + l] = acting[first + k - back[s, i, l], i, l]
             for i in range({nu} if len(decay) > 0 else 0):
                 for l in range(LANES):
                     W[({w} + i) * LANES + l] += W[({surge} + i) * LANES + l]
-            for l in range(LANES):
+"""
+_STAGE = """            for l in range(LANES):
                 W[{h} * LANES + l] = step[s, l]
             # classic Runge-Kutta of order four; `stage` is where the derivative is taken
             for i in range({nx}):
@@ -301,8 +300,8 @@ _INTEGRATE = (
                 ahead = 0.5 if q < 2 else 1.0
                 share = 1.0 / 6.0 if q == 0 or q == 3 else 1.0 / 3.0
 """
-    + _FOLLOWED
-    + indent(_SLOPE, 8 * " ", lambda line: line.startswith(" "))
+_RISE = (
+    indent(_SLOPE, 8 * " ", lambda line: line.startswith(" "))
     + """                for l in range(LANES):
                     h = W[{h} * LANES + l]
 {rising}
@@ -360,9 +359,9 @@ _JUMP = (
                 W[({x} + i) * LANES + l] += dt * W[({slope} + i) * LANES + l]
 """
 )
-_CONTINUOUS = "".join([_HEAD, _SAMPLE, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE.replace(_FOLLOWED, ""), _FADE])
-_AHEAD = "".join([_HEAD, _SAVE, _SAMPLE, _REACH, _CONTROL, _DRIVE, _BEND])
-_CURVED = "".join([_AHEAD, _SAMPLE, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT, _INTEGRATE.replace(_FOLLOWED, _FOLLOW), _FADE])
+_ARRIVED = "".join([_SAMPLE, _READ, _CONTROL, _DRIVE, _LOG, _CORRECT])
+_CONTINUOUS = "".join([_HEAD, _ARRIVED, _STEP, _HOLD, _STAGE, _RISE, _FADE])
+_CURVED = "".join([_HEAD, _SAVE, _SAMPLE, _REACH, _CONTROL, _DRIVE, _BEND, _ARRIVED, _STEP, _STAGE, _FOLLOW, _RISE, _FADE])
 _DISCRETE = "".join([_HEAD, _SAMPLE, _CONTROL, _DRIVE, _ARRIVE, _READ, _LOG, _CORRECT, _JUMP, _FADE])
 _INDENT = {
     "once": 8, "read": 12, "control": 16, "drive": 12, "show": 16, "rates": 24, "nominal": 24, "drifting": 24, "rising": 20,
