@@ -137,7 +137,7 @@ def candidates(model: Model, score: Score, sizes: np.ndarray) -> list[Signature]
 def start(model: Model, signature: Signature) -> tuple[Unknowns, list[np.ndarray]]:
     """Unknowns with the effect of a signature as a new term, and a fan of first guesses along its one-step estimate."""
     old, v = model.fit.unknowns, signature.variant
-    plant, n = old.plant, old.records
+    plant = old.plant
     base = old.base.copy()
     for slot, value in v.shapes:
         base[slot] = value
@@ -159,7 +159,6 @@ def start(model: Model, signature: Signature) -> tuple[Unknowns, list[np.ndarray
             sizes = np.array([first.real, first.imag])
         own = np.concatenate([sizes, np.zeros(len(free)), turns])
         guesses.append(unknowns.clip(np.concatenate([model.fit.z - signature.weights @ delta, own])))
-    del n
     return unknowns, guesses
 
 
@@ -215,8 +214,15 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
         if best is None or tried.cost < best.cost:
             best = tried
     assert best is not None
-    fit = gauss_newton(model.predictor, best.unknowns, best.z, sizes, rounds=1, chords=4, enough=0.5)
-    fitted = Model(model.predictor, fit)
+    unknowns = best.unknowns
+
+    def fit(z: np.ndarray) -> Model:
+        return Model(model.predictor, gauss_newton(model.predictor, unknowns, z, sizes, rounds=1, chords=4, enough=0.5))
+
+    fitted = fit(best.z)
+    if not fitted.deviance < model.deviance:  # from an estimate that is far off; nothing of the effect does no harm
+        none = fit(unknowns.clip(np.concatenate([model.fit.z, np.zeros(len(best.z) - len(model.fit.z))])))
+        fitted, best = (none, none.fit) if none.deviance < fitted.deviance else (fitted, best)
     if not is_late(model.predictor, score.key):
         return fitted, best
     late = _from_late(model, best, sizes)

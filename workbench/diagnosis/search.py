@@ -291,8 +291,8 @@ class _Race:
 def _alike_stepped(finals: Sequence[tuple[Model, Score]], sizes: np.ndarray) -> list[tuple[Model, Score]]:
     """Models, best first, of which those that come near the best one have as many integrator steps as any of these."""
     near = finals[0][0].bic + SWAP
-    finest = max(m.predictor.substeps for m, _ in finals if m.bic < near)
-    return best_first([(stepped(m, finest, sizes) if m.bic < near else m, s) for m, s in finals])
+    finest = max(m.predictor.substeps for m, _ in finals if m.bic <= near)
+    return best_first([(stepped(m, finest, sizes) if m.bic <= near else m, s) for m, s in finals])
 
 
 def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
