@@ -11,6 +11,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Diagnosis, Finding
+from workbench.diagnosis.beginnings import LOOKED_AT, SEARCHED, beginnings, searched_in, tells_more
 from workbench.diagnosis.causes import (
     cause_of,
     doubted,
@@ -63,26 +64,46 @@ def diagnose(
     drift: whether torques that nobody logged may come and go as noise. Such a noise may take in what changes at reversals only,
     friction and offset: where it leaves something that no effect explains, the search is made again without it, and counts if
     what it names helps a second ahead. Parameters and sizes are those of the likelihood or of the free run, whichever errs less
-    a second and the full run ahead. Inputs that were measured while they moved are told from held ones, see `courses`. Raises
-    InputError for records that cannot be of this plant, unless the user takes them `anyway`; see `check`.
+    a second and the full run ahead. Inputs that were measured while they moved are told from held ones, see `courses`. Of long
+    records the beginnings are searched, and the whole where these do not tell all; see `beginnings`. Raises InputError for
+    records that cannot be of this plant, unless the user takes them `anyway`; see `check`.
     """
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset, anyway=anyway)]
-    judge = Judge(held_out or dataset, held_out is not None)
+    part = beginnings(plant, dataset, SEARCHED)
+    judge = Judge(beginnings(plant, held_out, SEARCHED), True) if held_out else Judge(part, False)
+    made, found = _diagnosed(plant, part, judge, templates, drift, threads, progress)
+    if part is not dataset:
+        looked_at = beginnings(plant, dataset, LOOKED_AT)
+        notes.append(searched_in(part, dataset))
+        if made.finding in (Finding.NAMED, Finding.NOTHING) and tells_more(found.model, found.lesser.sizes, looked_at):
+            progress("again, in whole records")
+            notes[-1] = "searched in whole records: their beginnings do not tell all"
+            judge = judge if held_out else Judge(dataset, False)
+            made, _ = _diagnosed(plant, dataset, judge, templates, drift, threads, progress)
+    return replace(made, notes=(*notes, *made.notes), seconds=time.perf_counter() - began)
+
+
+def _diagnosed(
+    plant: Plant,
+    dataset: Dataset,
+    judge: Judge,
+    templates: Sequence[Template],
+    drift: bool,
+    threads: int,
+    progress: Callable[[str], None],
+) -> tuple[Diagnosis, Found]:
+    """The diagnosis of records as they are, and what was found before it was fitted to free runs."""
+    notes = []
     progress("recalibrating")
     given = as_given(plant, dataset, drift=drift, threads=threads)
     base = _as_coloured(lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name))
-    most, between = np.inf if drift else 1.0 - HELPFUL, dict[str, str]()
-    found = judged(searched(base, most, progress), judge, longer=not drift)
-    # a cause that only makes up for a hold is worth nothing beside what it makes up for
-    moving = followed(base, found.lesser.sizes)
-    if moving and (found.model is base or followed(found.model, found.lesser.sizes)):
-        progress("again, with inputs that go on between their samples")
-        other = judged(searched(moving, most, progress), judge, longer=not drift)
-        if (less := found.model.bic - other.model.bic) > TIE:
-            between = {n: course for n, course in moving.predictor.plant.between.items() if n not in plant.between}
-            found, plant = other, plant.with_courses(between)
-            notes.append(f"{told(between)} between samples: a hold is less likely, by {less:.0f} in BIC")
+    found, between = _sought(base, judge, drift, progress), dict[str, str]()
+    if other := _with_courses(base, found, judge, drift, progress):
+        between = {n: course for n, course in other.base.predictor.plant.between.items() if n not in plant.between}
+        less = found.model.bic - other.model.bic
+        notes.append(f"{told(between)} between samples: a hold is less likely, by {less:.0f} in BIC")
+        found, plant = other, plant.with_courses(between)
     torques = len(base.predictor.noise.drift) > 0  # a plant without shafts has none that come and go
     if torques and (found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) or forgiven(judge, found)):
         progress("again, without torques that come and go")
@@ -94,7 +115,7 @@ def diagnose(
     found = replace(found, steps=tuple(replace(s, pairs={**divided(s, found.lesser), **s.pairs}) for s in found.steps))
     following = next_experiment(found.steps, templates)
     progress("free runs")
-    together = only_together(found.base, found.steps)
+    together, likeliest = only_together(found.base, found.steps), found
     laws = laws_instead(found.steps, found.model)  # free runs have gains in another unit
     found = with_free_runs(found, judge)
     progress("gains on held-out records")
@@ -104,8 +125,25 @@ def diagnose(
         coloured = with_coloured_noise(given, np.zeros(len(plant.slots)))
         given = coloured if coloured.sound else given
     made = _answered(plant, found, given, judge, laws, together and len(found.steps) > 1)
-    seconds = time.perf_counter() - began
-    return replace(made, next_experiment=following, notes=(*notes, *made.notes), seconds=seconds, between=between)
+    return replace(made, next_experiment=following, notes=(*notes, *made.notes), between=between), likeliest
+
+
+def _sought(base: Model, judge: Judge, drift: bool, progress: Callable[[str], None]) -> Found:
+    """What is found beside a recalibrated model; without torques that come and go it must help a second ahead."""
+    return judged(searched(base, np.inf if drift else 1.0 - HELPFUL, progress), judge, longer=not drift)
+
+
+def _with_courses(base: Model, found: Found, judge: Judge, drift: bool, progress: Callable[[str], None]) -> Found | None:
+    """What is found where inputs go on between their samples, if it is likelier in the end than what was found with held ones.
+
+    A cause that only makes up for a hold is worth nothing beside the course: where none is likelier there, none is sought.
+    """
+    moving = followed(base, found.lesser.sizes)
+    if moving is None or (found.model is not base and followed(found.model, found.lesser.sizes) is None):
+        return None
+    progress("again, with inputs that go on between their samples")
+    other = _sought(moving, judge, drift, progress)
+    return other if other.model.bic < found.model.bic - TIE else None
 
 
 def _without_torques(
@@ -113,7 +151,7 @@ def _without_torques(
 ) -> Found | None:
     """What is found where torques that nobody logged are no noise, if it names what helps a second ahead."""
     bare = _as_coloured(_recalibrated(plant, dataset, False, threads))
-    again = judged(searched(bare, 1.0 - HELPFUL, progress), judge, longer=True) if bare.sound else None
+    again = _sought(bare, judge, False, progress) if bare.sound else None
     if again and again.steps and not tells(found.local, again) and judge.longer(found.model, again.model) < 1.0 - LONG_RUN:
         return replace(again, local=again.local or found.local)
     return None
