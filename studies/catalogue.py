@@ -13,7 +13,7 @@ from plants import PLANTS
 from studies.arguments import choose_plant
 from workbench.files import write_json, write_text
 from workbench.physics.effects import EFFECTS, effects_of
-from workbench.physics.effects.effect import EffectParameter, Port
+from workbench.physics.effects.effect import EffectParameter
 from workbench.physics.plant import Plant
 
 Say = Callable[[str], None]
@@ -78,13 +78,13 @@ def effects_page() -> str:
 
 
 def _family(family: str) -> Iterator[str]:
-    ports = [port for plant in PLANTS.values() for port in plant.all_ports if port.family == family]
     module = inspect.getmodule(effects_of(family)[0].law)
+    ports = [port for port in vars(module).values() if isinstance(port, type) and getattr(port, "family", "") == family]
     about = (module.__doc__ or "").split(":")[0].split(".")[0].split(", in the order")[0]
     yield f"## {family.capitalize()}\n"
     yield f"{about}. Places: {_places(family)}.\n"
-    first = _plainest(ports)
-    yield f"In the equations: {first.symbols}.\n"
+    plainest = min(ports, key=lambda port: len(port.__mro__))
+    yield f"In the equations: {plainest.symbols}.\n"
     if len({port.symbols for port in ports}) > 1:
         yield "On what slides the same laws hold with a force for the torque, N for N m and m for rad.\n"
     for effect in effects_of(family):
@@ -95,14 +95,9 @@ def _family(family: str) -> Iterator[str]:
         yield f"- told apart by: {effect.separates}\n"
 
 
-def _plainest(ports: Sequence[Port]) -> Port:
-    """The port whose class the others are made from."""
-    return min(ports, key=lambda port: len(type(port).__mro__))
-
-
 def _places(family: str) -> str:
     by_plant = {plant.name: [q.place for q in plant.all_ports if q.family == family] for plant in PLANTS.values()}
-    return "; ".join(f"{', '.join(places)} of {name}" for name, places in by_plant.items() if places)
+    return "; ".join(f"{', '.join(places)} of {name}" for name, places in by_plant.items() if places) or "of your own plants"
 
 
 def plants_page() -> str:

@@ -8,7 +8,7 @@ that its label names. Where the records cannot tell the scale of a mass from tha
 import numpy as np
 
 from workbench import Channel, Parameter, Plant, Start
-from workbench.physics.effects import Shaft, Slide
+from workbench.physics.effects import Shaft, Slide, Spring, Tank
 
 DEGREES = 180.0 / np.pi
 RATIO = 250.0  # of the gear of the robot's first axis
@@ -135,8 +135,9 @@ BAM_XL330 = Plant(
 
 def _tanks(x, u, p, at):
     """T1 x1' = g u - x1,  T2 x2' = x1 - x2: two tanks, one below the other, each with outflow in proportion to its level."""
-    del at
-    return {"x1": (p.g * u.u - x.x1) / p.T1, "x2": (x.x1 - x.x2) / p.T2}
+    upper, lower = at.upper.flows(x.x1), at.lower.flows(x.x2)
+    between = x.x1 + upper.outlet
+    return {"x1": (p.g * u.u - between - upper.spill) / p.T1, "x2": (between - x.x2 - lower.outlet - lower.spill) / p.T2}
 
 
 CASCADED_TANKS = Plant(
@@ -152,6 +153,7 @@ CASCADED_TANKS = Plant(
     equation=_tanks,
     measure=lambda x, p: {"y": x.x2},
     dt=4.0,
+    ports=(Tank("upper", "x1", rest=5.0, unit="V", flow="V"), Tank("lower", "x2", rest=5.0, unit="V", flow="V")),
     start=Start({"u": 2.8}, ("x1", "x2"), ("x1", "x2")),
 )
 
@@ -186,7 +188,7 @@ COUPLED_DRIVES = Plant(
 
 def _silverbox(x, u, p, at):
     """m q'' = V1 - k q - d q': a mass on a spring, as an electronic circuit; its position is read in volts."""
-    return {"q": x.v, "v": (u.V1 - p.k * x.q - p.d * x.v + at.mass.torque()) / p.m}
+    return {"q": x.v, "v": (u.V1 - p.k * x.q - p.d * x.v + at.spring.push(x.q) + at.mass.torque()) / p.m}
 
 
 SILVERBOX = Plant(
@@ -202,7 +204,7 @@ SILVERBOX = Plant(
     equation=_silverbox,
     measure=lambda x, p: {"V2": x.q},
     dt=1.0 / 610.35,
-    ports=(Slide("mass", "v"),),
+    ports=(Slide("mass", "v"), Spring("spring")),
 )
 
 

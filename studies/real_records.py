@@ -111,8 +111,7 @@ MACHINES = {
             ("est.csv",),
             ("val.csv",),
             "outflow as the square root of the level, overflow, a reading that ends at 10 V",
-            # a bent reading is what the roots do to levels at rest, a pump that gives no more what the overflow does
-            ("sensor-nonlinearity@y", "saturation@u"),
+            (*_at("upper", "outflow-law", "overflow"), *_at("lower", "outflow-law", "overflow")),
             references=(Reference("val", "V", {"linear": 0.588, "CT-SUBNET": 0.306, "grey box": 0.191}, begin=4),),
         ),
         Machine(
@@ -132,6 +131,7 @@ MACHINES = {
             ("multisine_train.csv",),
             ("multisine_test.csv", "arrow.csv"),
             "a spring that stiffens with the cube of its stretch",
+            _at("spring", "cubic-spring"),
             references=(
                 Reference("multisine_test", "mV", {"linear": 6.96, "best": 0.30}, begin=50, scale=1e3),
                 Reference("arrow", "mV", {"linear": 14.4, "best": 0.26}, begin=50, scale=1e3),

@@ -29,7 +29,8 @@ _listed, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 _MOVED = {
     "workbench.intervals": ("ARX", "FIR", "BySchedule", "InTime", "OutputErrorRegression"),
     "workbench.physics.effects": (
-        "EFFECTS", "Domain", "Effect", "EffectParameter", "Pulley", "Reel", "Robot", "Shaft", "Slide", "Span", "Winding",
+        "EFFECTS", "Domain", "Effect", "EffectParameter", "Pulley", "Reel", "Robot", "Shaft", "Slide", "Span", "Spring", "Tank",
+        "Winding",
     ),
     "workbench.sweeps": ("load_sweep", "read_rows", "run_sweep"),
 }  # fmt: skip

@@ -158,12 +158,12 @@ def test_rates_count_what_they_say():
 
 
 def test_the_first_lines_say_which_machine_ends_how():
-    names = ("kuka_kr300", "silverbox", "gyroscope")
+    names = ("kuka_kr300", "coupled_drives", "gyroscope")
     rows = [row(names[0], causes=[cause("coulomb@axis")]), row(names[1], "unknown"), {"machine": names[2], "crashed": "E"}]
     said = verdict(rows, summary(rows, MACHINES))
     for sentence in (
         "Named as the label says: kuka_kr300.",
-        "outside the catalogue: silverbox.",
+        "outside the catalogue: coupled_drives.",
         "Crashed: gyroscope.",
         "Falls short: crashed: 1 of 3",
     ):

@@ -179,7 +179,9 @@ def _over(scene: _Scene, added: np.ndarray) -> tuple[Channel, np.ndarray]:
         j = plant.state_names.index(plant.turning[scene.place])
     elif domain is Domain.TENSION and scene.place in tensions:
         j = plant.state_names.index(tensions[scene.place])
-    else:  # a load is no state: the one that goes with it stands for it
+    elif domain is Domain.HEAD:
+        j = plant.state_names.index(_port(scene).level)
+    else:  # a load and a stretch are no states: the one that goes with it stands for it
         j = int(np.argmax([abs(_correlation(added, course.x[:, j])) for j in range(len(plant.states))]))
     return plant.states[j], course.x[:, j]
 

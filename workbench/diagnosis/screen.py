@@ -21,6 +21,7 @@ from workbench.diagnosis.normal import inverse
 from workbench.diagnosis.predictor import Point, Predictor
 from workbench.diagnosis.scan import Scan, pushes, scan_frequencies, scan_orders
 from workbench.physics.effects.effect import PER_TURN, EffectParameter, GridUnit
+from workbench.physics.effects.tank import Tank
 from workbench.physics.parameters import Slot
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -202,7 +203,7 @@ def _shape_unit(slot: Slot, units: Mapping[tuple[GridUnit, str], float], dt: flo
 
 
 def shape_units(predictor: Predictor, point: Point) -> dict[tuple[GridUnit, str], float]:
-    """The units of grids that are in units of the records, by place: their length, and the largest speed there.
+    """The units of grids that are in units of the records, by place: their length, the largest speed and the highest level there.
 
     Of a speed, that which all but a hundredth of the samples of some record keep below.
     """
@@ -212,6 +213,9 @@ def shape_units(predictor: Predictor, point: Point) -> dict[tuple[GridUnit, str]
     for place, name in plant.turning.items():
         j = plant.state_names.index(name)
         found[GridUnit.SPEED, place] = max(float(np.quantile(x[:, j], 0.99)) for x in full)
+    for port in (port for port in plant.ports if isinstance(port, Tank)):
+        j = plant.state_names.index(port.level)
+        found[GridUnit.LEVEL, port.place] = max(float(x[:, j].max()) for x in full)
     return found
 
 

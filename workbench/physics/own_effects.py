@@ -18,13 +18,15 @@ from workbench.physics.effects.effect import PER_TURN, Domain, Effect, GridUnit,
 from workbench.physics.symbolic import symbolic_numpy
 
 TRIED = np.array([-30.0, -1.0, -0.02, 0.0, 0.02, 1.0, 30.0])
-OF_FAMILY = {Domain.COMMAND: "actuator", Domain.LEVEL: "sensor"}  # domains that are drawn over what only one family has
+# domains that are drawn over what only one family has
+OF_FAMILY = {Domain.COMMAND: "actuator", Domain.LEVEL: "sensor", Domain.STRETCH: "spring", Domain.HEAD: "tank"}
 OF_SIZES = {
     GridUnit.ONE: None, GridUnit.SAMPLE: None, GridUnit.COMMAND: "actuator", GridUnit.IMPULSE: "actuator",
     GridUnit.NOISE: "sensor",
 }  # fmt: skip
 OF_SHAPES = (GridUnit.ONE, GridUnit.SAMPLE, GridUnit.RECORD, GridUnit.CYCLES)
 OF_TURNING = (*OF_SHAPES, GridUnit.SPEED)
+OF_TANK = (*OF_SHAPES, GridUnit.LEVEL)
 
 
 def check_own(own: Sequence[Effect], ports: Sequence[Port], plant: str) -> None:
@@ -62,7 +64,7 @@ def _misfits(effect: Effect, port: Port) -> Iterator[tuple[str, str]]:
         own = [unit.name for unit, of in OF_SIZES.items() if of in (None, family)]
         yield f"its sizes cannot be tried in {effect.grid_unit.name}", f"grid_unit is one of {', '.join(own)}"
     for p in effect.parameters:
-        if p.grid_unit not in (own := OF_TURNING if turns else OF_SHAPES):
+        if p.grid_unit not in (own := OF_TURNING if turns else OF_TANK if family == "tank" else OF_SHAPES):
             yield f"{p.name} cannot be tried in {p.grid_unit.name}", f"one of {', '.join(unit.name for unit in own)}"
         if p.shape and effect.phase and not (turns or (p.unit != PER_TURN and hasattr(port, "tension"))):
             yield f"nothing has an order or a frequency at {port.place}", "a phase with a shape is of a shaft, a reel or a span"

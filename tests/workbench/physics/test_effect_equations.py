@@ -49,6 +49,11 @@ def by_law(effect, e):
             return {"deviation": law(e, Named({"angle": 0.9, "speed": 3.0}))[0]}
         case "pulley":
             return {"slip": law(e) * 0.8}
+        case "spring":
+            return {"push": law(e, Named({"stretch": -0.7}))}
+        case "tank":
+            outlet, spill = law(e, Named({"level": 2.7, "outflow": 0.8, "rest": 1.1}))
+            return {"spill": spill} if effect.id == "overflow" else {"outlet": 0.8 + outlet}
         case "span":
             at = {"stretch": SPAN["e"], "stiffness": SPAN["k"], "tension": SPAN["T"], "rest": SPAN["rest"], "t": SPAN["t"]}
             added, inner = law(e, Named(at | {"state": SPAN["x"]}))
@@ -68,6 +73,8 @@ POINTS = {
     "shaft": SHAFT,
     "reel": {"phi": 0.9},
     "pulley": {"T1": 0.4, "T2": 1.2},
+    "spring": {"s": -0.7},
+    "tank": {"level": 2.7, "outflow": 0.8, "rest": 1.1},
     "span": SPAN,
     "winding": {"s": 2.0, "v": 0.7},
     "robot": {"arm": 0.4, "arm_rate": -1.2, "t": 0.7, "m": 5.0},

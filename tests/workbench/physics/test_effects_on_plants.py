@@ -5,20 +5,23 @@ from functools import cache
 import numpy as np
 import pytest
 
-from plants import PLANTS
+from plants import PLANTS as OURS
+from studies.real_plants import CASCADED_TANKS, SILVERBOX
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.effects import EFFECTS
 from workbench.physics.effects.effect import GridUnit
 from workbench.simulation import Scenario, simulate_batch
 
+PLANTS = {**OURS, "silverbox": SILVERBOX, "cascaded-tanks": CASCADED_TANKS}  # a spring, tanks
 # a size of each effect that a technician would notice, in units of the machine: torque or force, command
-FORCE = {"web-winding": 2e-3, "welding-robot": 0.3, "positioning-axis": 5.0}
-COMMAND = {"welding-robot": 2.0, "positioning-axis": 300.0}  # where the machine starts from rest
+FORCE = {"web-winding": 2e-3, "welding-robot": 0.3, "positioning-axis": 5.0, "silverbox": 0.01, "cascaded-tanks": 0.1}
+COMMAND = {"welding-robot": 2.0, "positioning-axis": 300.0, "silverbox": 0.1}  # where the machine starts from rest
 REGULAR = {
     "load-friction": 0.05, "eccentricity": 2e-4, "slip": 0.02, "nonlinear-elasticity": 0.2,
     "viscoelastic": 0.2, "periodic-tension": 0.5, "stiffness-jump": 0.2, "air-entrainment": 0.1, "platform-mass": 0.2,
-    "arm-reaction": 0.2, "heating": 0.1, "sensor-nonlinearity": 1e-2, "sensor-gain": 0.02,
+    "arm-reaction": 0.2, "heating": 0.1, "sensor-nonlinearity": 1e-2, "sensor-gain": 0.02, "cubic-spring": 5.0,
+    "bent-spring": 0.5, "outflow-law": -0.5,
 }  # fmt: skip
 
 

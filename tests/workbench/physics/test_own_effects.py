@@ -20,6 +20,8 @@ from workbench.physics.effects.reel import Reel
 from workbench.physics.effects.robot import Robot
 from workbench.physics.effects.shaft import Shaft
 from workbench.physics.effects.span import Span
+from workbench.physics.effects.spring import Spring
+from workbench.physics.effects.tank import Tank
 from workbench.physics.effects.winding import Winding
 from workbench.physics.kernel import SCALAR
 from workbench.physics.own_effects import check_own
@@ -73,17 +75,19 @@ FLYWHEEL = Plant(
 def rig_equation(x, u, p, at):
     stretch = 0.02 * x.w - 0.05 * x.v - at.roll.creep() * (x.T - 4.0)
     deviation = at.drum.runout()
+    flows = at.sump.flows(0.2 * x.h)
     return {
         "w": (u.M - 0.1 * x.w + at.drum.torque(load=x.T)) / p.J,
         "T": 50.0 * stretch + at.web.rate(stretch, 50.0, 5.0),
-        "v": (u.M - 0.3 * x.v + at.cart.force()) / at.cart.mass(1.0),
+        "v": (u.M - 0.3 * x.v + at.cart.force() + at.bow.push(x.v)) / at.cart.mass(1.0),
+        "h": 0.5 + 0.1 * u.M - 0.2 * x.h - flows.outlet - flows.spill,
         "L": at.drum.thickness(0.1, x.w) + deviation.radius + deviation.rate,
     }
 
 
 RIG = Plant(
     name="rig",
-    states=(Channel("w", "rad/s"), Channel("T", "N"), Channel("v", "m/s"), Channel("L", "m")),
+    states=(Channel("w", "rad/s"), Channel("T", "N"), Channel("v", "m/s"), Channel("L", "m"), Channel("h", "m")),
     inputs=(Channel("M", "N m", "input"), Channel("arm", "rad", "schedule")),
     outputs=(Channel("w", "rad/s", "output"), Channel("L", "m", "output")),
     parameters=(Parameter("J", 0.5, "kg m^2"),),
@@ -92,12 +96,14 @@ RIG = Plant(
     dt=0.02,
     ports=(
         Shaft("drum", "w", loaded=True), Reel("drum", "w"), Winding("drum"), Pulley("roll"), Span("web", "T"),
-        Robot("cart", "arm"),
+        Robot("cart", "arm"), Spring("bow"), Tank("sump", "h"),
     ),
 )  # fmt: skip
 OF_ALL = (
     effect("spring", "shaft", lambda e, s: -e.size * s.angle, domain=Domain.ANGLE),
     effect("clutch", "shaft", lambda e, s: -e.size * s.load**2, domain=Domain.LOAD),
+    effect("slack", "spring", lambda e, s: -e.size * np.tanh(s.stretch), domain=Domain.STRETCH),
+    effect("valve", "tank", lambda e, s: (e.size * s.outflow, e.size * s.level), domain=Domain.HEAD),
     effect("flat", "reel", lambda e, r: (e.size * np.cos(2 * r.angle), -2 * e.size * r.speed * np.sin(2 * r.angle))),
     effect("skid", "pulley", lambda e: e.size**2),
     effect("bowing", "span", lambda e, s: (e.size * s.tension, 0.0)),

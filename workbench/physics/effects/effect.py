@@ -40,6 +40,7 @@ class GridUnit(Enum):
     NOISE = "the standard deviation of the channel's noise"
     RECORD = "the length of the record"
     SPEED = "the largest speed of what turns or slides"
+    LEVEL = "the highest level of the tank"
     CYCLES = "1: they are the shortest and the longest period, between which all that the record tells apart are tried"
 
 
@@ -54,6 +55,8 @@ class Domain(Enum):
     ANGLE = "what is missing over the angle of what turns"
     LOAD = "what is missing over the load"
     TENSION = "what is missing over the tension"
+    STRETCH = "what is missing over the stretch of a spring"
+    HEAD = "what is missing over the level of a tank"
     COMMAND = "what acts over what was commanded"
     LEVEL = "what is read over what there is"
     SHIFT = "measured and simulated over time, one later than the other"
