@@ -62,7 +62,10 @@ def tells_more(model: Model, sizes: np.ndarray, dataset: Dataset) -> bool:
     return any(x.p_family < ALPHA for x in remainder(Model(made, fit)))
 
 
-def searched_in(part: Dataset, dataset: Dataset) -> str:
-    """How much of the records was searched."""
-    spans = ", ".join(f"{e.name} to {e.t[-1]:.4g} s" for e, own in zip(part, dataset, strict=True) if len(e) < len(own))
-    return f"searched in {sum(map(len, part))} of {sum(map(len, dataset))} samples, which show what the others do ({spans})"
+def taken(what: str, part: Dataset, dataset: Dataset) -> list[str]:
+    """A sentence that says how much of the records was taken; none where it was all."""
+    shorter = [e for e, whole in zip(part, dataset, strict=True) if len(e) < len(whole)]
+    if not shorter:
+        return []
+    spans = ", ".join(f"{e.name} to {e.t[-1]:.4g} s" for e in shorter)
+    return [f"{what} {sum(map(len, part))} of {sum(map(len, dataset))} samples, which show what the others do ({spans})"]

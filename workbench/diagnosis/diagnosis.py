@@ -11,7 +11,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Diagnosis, Finding
-from workbench.diagnosis.beginnings import LOOKED_AT, SEARCHED, beginnings, searched_in, tells_more
+from workbench.diagnosis.beginnings import LOOKED_AT, SEARCHED, beginnings, taken, tells_more
 from workbench.diagnosis.causes import (
     cause_of,
     doubted,
@@ -70,31 +70,30 @@ def diagnose(
     """
     began = time.perf_counter()
     notes = [str(note) for note in check(plant, dataset, anyway=anyway)]
-    part = beginnings(plant, dataset, SEARCHED)
-    judge = Judge(beginnings(plant, held_out, SEARCHED), True) if held_out else Judge(part, False)
-    made, found = _diagnosed(plant, part, judge, templates, drift, threads, progress)
-    if part is not dataset:
-        looked_at = beginnings(plant, dataset, LOOKED_AT)
-        notes.append(searched_in(part, dataset))
-        if made.finding in (Finding.NAMED, Finding.NOTHING) and tells_more(found.model, found.lesser.sizes, looked_at):
-            progress("again, in whole records")
-            notes[-1] = "searched in whole records: their beginnings do not tell all"
-            judge = judge if held_out else Judge(dataset, False)
-            made, _ = _diagnosed(plant, dataset, judge, templates, drift, threads, progress)
+    part, more = beginnings(plant, dataset, SEARCHED), beginnings(plant, dataset, LOOKED_AT)
+    unseen = beginnings(plant, held_out, SEARCHED) if held_out else None
+    made, found = _diagnosed(plant, part, unseen, templates, drift, threads, progress)
+    if more is not part and made.finding in (Finding.NAMED, Finding.NOTHING):
+        progress("looking at what follows")
+        if tells_more(found.model, found.lesser.sizes, more):
+            progress("again, in more of the records")
+            part = more
+            made, _ = _diagnosed(plant, part, unseen, templates, drift, threads, progress)
+    notes += taken("searched in", part, dataset) + (taken("gains are those of", unseen, held_out) if unseen and held_out else [])
     return replace(made, notes=(*notes, *made.notes), seconds=time.perf_counter() - began)
 
 
 def _diagnosed(
     plant: Plant,
     dataset: Dataset,
-    judge: Judge,
+    held_out: Dataset | None,
     templates: Sequence[Template],
     drift: bool,
     threads: int,
     progress: Callable[[str], None],
 ) -> tuple[Diagnosis, Found]:
     """The diagnosis of records as they are, and what was found before it was fitted to free runs."""
-    notes = []
+    notes, judge = [], Judge(held_out or dataset, held_out is not None)
     progress("recalibrating")
     given = as_given(plant, dataset, drift=drift, threads=threads)
     base = _as_coloured(lasting(_no_worse(given, _recalibrated(plant, dataset, drift, threads)), plant.name))

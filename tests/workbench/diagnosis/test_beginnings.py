@@ -80,13 +80,15 @@ def test_a_friction_is_found_in_the_beginning_and_the_rest_is_only_looked_at(sho
     said, data = [], Dataset((axis(4, friction=(20.0, 20.0)),))
     part = beginnings.beginnings(AXIS, data, 1000)
     assert len(part.experiments[0]) < 1500
-    found = diagnosis.diagnose(AXIS, data, progress=said.append)
+    other = Dataset((axis(5, friction=(20.0, 20.0), name="other"),))
+    found = diagnosis.diagnose(AXIS, data, other, progress=said.append)
     assert [c.key for c in found.causes] == ["coulomb@slide"]
     assert found.causes[0].parameters["level"].value == pytest.approx(20.0, rel=0.05)
-    assert "again, in whole records" not in said
+    assert "again, in more of the records" not in said
     (note,) = [n for n in found.notes if n.startswith("searched in")]
     assert note.startswith(f"searched in {len(part.experiments[0])} of 3000 samples")
     assert f"axis to {part.experiments[0].t[-1]:.4g} s" in note
+    assert any(n.startswith("gains are those of 1000 of 3000 samples") for n in found.notes)
 
 
 def test_a_friction_that_sets_in_later_is_not_missed(short):
@@ -94,8 +96,8 @@ def test_a_friction_that_sets_in_later_is_not_missed(short):
     said, data = [], Dataset((axis(5, friction=(0.0, 20.0)),))
     assert len(beginnings.beginnings(AXIS, data, 1000).experiments[0]) < 1500
     found = diagnosis.diagnose(AXIS, data, progress=said.append)
-    assert "again, in whole records" in said
+    assert "again, in more of the records" in said
     assert found.finding is Finding.NAMED
     assert [c.key for c in found.causes] == ["friction-jump@slide"]
     assert found.causes[0].parameters["time"].value == pytest.approx(30.0, abs=0.5)
-    assert any("do not tell all" in n for n in found.notes)
+    assert not any("searched in" in n for n in found.notes)  # it was all
