@@ -31,6 +31,7 @@ from workbench.diagnosis.screen import Signature, shape_units
 from workbench.diagnosis.search import Step, effect_and_place, measurable
 from workbench.diagnosis.sizes import sizes_of
 from workbench.physics.effects.effect import Domain, GridUnit
+from workbench.physics.effects.tank import Tank
 from workbench.physics.parameters import Slot
 from workbench.physics.plant import Plant
 
@@ -48,7 +49,7 @@ def cause_of(plant: Plant, step: Step, model: Model, gains) -> Cause:
     return Cause(
         effect=effect,
         place=place,
-        sentence=_sentence(plant, slot),
+        sentence=sentence(plant, slot),
         parameters=_spanning(sizes_of(model, step.key), step.others),
         gains=gains,
         evidence=Evidence(step.gain, _significance(step), 1.0 / total),
@@ -64,10 +65,14 @@ def _significance(step: Step) -> float:
     return p if p < ALPHA else min(p, float(np.exp(-0.5 * step.gain)))
 
 
-def _sentence(plant: Plant, slot: Slot) -> str:
-    """What a cause is; a static error of a sensor is not told from one of the equation that its output is computed by."""
+def sentence(plant: Plant, slot: Slot) -> str:
+    """What a cause is; a static error of a sensor is not told from one of the equation that its output is computed by, nor a
+    level that is read from another zero from an outlet that is there.
+    """
     said = slot.effect.sentence.format(place=slot.place)
     either = slot.effect.family == "sensor" and not slot.effect.memories and slot.place in plant.computed
+    if slot.effect.id == "sensor-bias" and any(isinstance(port, Tank) for port in plant.ports):
+        return f"{said} Or the outlet of a tank lies lower or higher by that: records do not tell the two apart."
     return f"{said} Or the plant's own equation of {slot.place} is off: records do not tell the two apart." if either else said
 
 

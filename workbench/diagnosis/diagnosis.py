@@ -79,7 +79,9 @@ def diagnose(
             progress("again, in more of the records")
             part = more
             made, _ = _diagnosed(plant, part, unseen, templates, drift, threads, progress)
-    notes += taken("searched in", part, dataset) + (taken("gains are those of", unseen, held_out) if unseen and held_out else [])
+    notes += taken("searched in", part, dataset)
+    notes += [f"{said}: nothing is said of what follows" for said in taken("looked at", more, dataset)]
+    notes += taken("gains are those of", unseen, held_out) if unseen and held_out else []
     return replace(made, notes=(*notes, *made.notes), seconds=time.perf_counter() - began)
 
 

@@ -19,6 +19,7 @@ from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain, Effect, Named
 from workbench.physics.effects.robot import Robot
 from workbench.physics.effects.shaft import Slide
+from workbench.physics.effects.spring import Spring
 from workbench.physics.parameters import EffectSizes, Slot
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -99,7 +100,9 @@ def _missing_rate(scene: _Scene) -> _Points:
     """Torque, force or rate of change of the state in which the effect shows best."""
     missing = scene.course.missing
     added = _rates(scene, scene.eta) - _rates(scene, scene.without)
-    entries = _entries(scene)
+    # noise may enter elsewhere than an effect does
+    entries = [j for j in _entries(scene) if np.any(added[:, j])] or [j for j in range(added.shape[1]) if np.any(added[:, j])]
+    entries = entries or _entries(scene)
     clear = [np.sqrt(np.mean(added[:, j] ** 2)) / (np.std(missing[:, j]) + 1e-300) for j in entries]
     j = entries[int(np.argmax(clear))]
     what, scale = _unit(scene, added[:, j], j)
@@ -115,12 +118,21 @@ def _entries(scene: _Scene) -> list[int]:
 
 def _rates(scene: _Scene, eta: np.ndarray) -> np.ndarray:
     """Rates of change (N, nx) along the course with effects eta."""
-    plant, p, course = scene.predictor.plant, scene.predictor.point.p, scene.course
-    u = list(scene.predictor.records[0].u.T)
-    swing = [np.gradient(u[plant.input_names.index(name)], plant.dt) for name in plant.swinging]
-    acting, angle, inner = plant.drive(u, eta, scene.t), list(course.angle.T), list(course.inner.T)
-    rates = plant.derivative(list(course.x.T), acting, p, eta, t=scene.t, angle=angle, inner=inner, rate=swing)
-    return np.column_stack([np.broadcast_to(rate, len(course.x)) for rate in rates])
+    rates = scene.predictor.plant.derivative(*_along(scene, eta), **_beside(scene))
+    return np.column_stack([np.broadcast_to(rate, len(scene.t)) for rate in rates])
+
+
+def _along(scene: _Scene, eta: np.ndarray) -> tuple:
+    """States, inputs that act, parameters and effects of the equation, along the course."""
+    plant, u = scene.predictor.plant, list(scene.predictor.records[0].u.T)
+    return list(scene.course.x.T), plant.drive(u, eta, scene.t), scene.predictor.point.p, eta
+
+
+def _beside(scene: _Scene) -> dict:
+    """Time, angles, own states of effects, and rates of inputs along the course."""
+    plant, u = scene.predictor.plant, scene.predictor.records[0].u
+    swing = [np.gradient(u[:, plant.input_names.index(name)], plant.dt) for name in plant.swinging]
+    return {"t": scene.t, "angle": list(scene.course.angle.T), "inner": list(scene.course.inner.T), "rate": swing}
 
 
 def _unit(scene: _Scene, added: np.ndarray, j: int) -> tuple[Channel, float]:
@@ -174,14 +186,17 @@ def _over(scene: _Scene, added: np.ndarray) -> tuple[Channel, np.ndarray]:
             return plant.inputs[i], scene.predictor.records[0].u[:, i]
         turned = course.angle[:, list(plant.turning).index(scene.place)]
         return Channel(f"angle of {scene.place}", "rad"), np.mod(turned, 2 * np.pi)
+    if isinstance(port := _port(scene), Spring):
+        seen = plant.seen_by(_key(scene), *_along(scene, scene.eta), **_beside(scene))
+        return Channel(f"stretch of {scene.place}", port.stretch), np.broadcast_to(seen.stretch, len(scene.t))
     tensions = {q.place: q.tension for q in plant.ports if hasattr(q, "tension")}
     if domain is Domain.SPEED and scene.place in plant.turning:
         j = plant.state_names.index(plant.turning[scene.place])
     elif domain is Domain.TENSION and scene.place in tensions:
         j = plant.state_names.index(tensions[scene.place])
     elif domain is Domain.HEAD:
-        j = plant.state_names.index(_port(scene).level)
-    else:  # a load and a stretch are no states: the one that goes with it stands for it
+        j = plant.state_names.index(port.level)
+    else:  # a load is no state: the one that goes with it stands for it
         j = int(np.argmax([abs(_correlation(added, course.x[:, j])) for j in range(len(plant.states))]))
     return plant.states[j], course.x[:, j]
 

@@ -205,17 +205,17 @@ def _shape_unit(slot: Slot, units: Mapping[tuple[GridUnit, str], float], dt: flo
 def shape_units(predictor: Predictor, point: Point) -> dict[tuple[GridUnit, str], float]:
     """The units of grids that are in units of the records, by place: their length, the largest speed and the highest level there.
 
-    Of a speed, that which all but a hundredth of the samples of some record keep below.
+    Both are what all but a hundredth of the samples of some record keep below.
     """
     plant = predictor.plant
     found = {(GridUnit.RECORD, slot.place): _length(predictor) for slot in plant.slots}
-    full = [np.abs(np.nan_to_num(predictor.corrected(i, point))) for i in range(len(predictor.records))]
+    full = [np.nan_to_num(predictor.corrected(i, point)) for i in range(len(predictor.records))]
     for place, name in plant.turning.items():
         j = plant.state_names.index(name)
-        found[GridUnit.SPEED, place] = max(float(np.quantile(x[:, j], 0.99)) for x in full)
+        found[GridUnit.SPEED, place] = max(float(np.quantile(np.abs(x[:, j]), 0.99)) for x in full)
     for port in (port for port in plant.ports if isinstance(port, Tank)):
         j = plant.state_names.index(port.level)
-        found[GridUnit.LEVEL, port.place] = max(float(x[:, j].max()) for x in full)
+        found[GridUnit.LEVEL, port.place] = max(float(np.quantile(x[:, j], 0.99)) for x in full)
     return found
 
 

@@ -1,11 +1,11 @@
 """The equation of a plant in parts: the laws of its effects taken out, so that what is off need not be computed."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import casadi as ca
 
-from workbench.physics.effects.effect import Effect
+from workbench.physics.effects.effect import Effect, Named
 from workbench.physics.symbolic import column, entries
 from workbench.records import record
 
@@ -55,5 +55,24 @@ class Opened:
                 for i, symbol in zip(own, entries(symbols), strict=True):
                     values[i] = symbol
             return tuple(values) if isinstance(result, tuple) else values[0]
+
+        return replace(effect, law=law)
+
+
+class Noted:
+    """The view that the law of one effect gets, noted while an equation is computed; numbers: indices of the effect's numbers."""
+
+    def __init__(self, numbers: Collection[int]):
+        self.numbers = set(numbers)
+        self.seen = Named({})
+
+    def stand_in(self, effect: Effect, numbers: Mapping[str, int]) -> Effect:
+        """The effect, or the one that is looked for with a law that notes what it sees."""
+        if set(numbers.values()) != self.numbers:
+            return effect
+
+        def law(e, seen, *more):
+            self.seen = seen
+            return effect.law(e, seen, *more)
 
         return replace(effect, law=law)

@@ -21,9 +21,10 @@ from workbench.physics.effects import effects_of
 from workbench.physics.effects.actuator import Actuator, Driven
 from workbench.physics.effects.effect import FOREVER, Effect, Named
 from workbench.physics.effects.sensor import Sensor
+from workbench.physics.effects.tank import Tank, check_unit
 from workbench.physics.own_effects import check_own
 from workbench.physics.parameters import EffectSizes, Parameter, Slot
-from workbench.physics.parts import Opened, Parted
+from workbench.physics.parts import Noted, Opened, Parted
 from workbench.physics.rest import Start, equilibria, several
 from workbench.physics.sample_time import other_time
 from workbench.physics.symbolic import column, entries, symbolic_numpy
@@ -119,6 +120,9 @@ class Plant:
                 check_known("state", port.tension, self.state_names, file=self.name)
             if hasattr(port, "arm"):
                 check_known("input", port.arm, self.input_names, file=self.name)
+            if isinstance(port, Tank):
+                check_known("state", port.level, self.state_names, file=self.name)
+                check_unit(port, self.states[self.state_names.index(port.level)], self.name)
         for name, course in self.between.items():
             check_known("input", name, self.input_names, file=self.name)
             if course not in COURSES:
@@ -331,7 +335,13 @@ class Plant:
         """Rates of change of the effects' own states, in the order of `inner`; arguments as for `derivative`."""
         return self._rates(x, u, p, eta, t, angle, inner, rate)[len(self.states) :]
 
-    def _rates(self, x, u, p, eta, t, angle, inner, rate, opened: Opened | None = None) -> list:
+    def seen_by(self, key: str, x, u, p, eta, *, t, angle, inner, rate) -> Named:
+        """What the law of the effect `key` is given besides its numbers, such as .stretch; arguments as for `derivative`."""
+        noted = Noted({i for i, slot in enumerate(self.slots) if slot.key == key})
+        self._rates(x, u, p, eta, t, angle, inner, rate, noted)
+        return noted.seen
+
+    def _rates(self, x, u, p, eta, t, angle, inner, rate, opened: Opened | Noted | None = None) -> list:
         """Rates of change of the states and of the effects' own states; the laws of `opened` stand for themselves."""
         seen = {
             "x": dict(zip(self.state_names, x, strict=True)),
@@ -414,7 +424,7 @@ class Plant:
         own = self._numbers_at[family, place]
         return [(effect, Named({name: eta[i] for name, i in numbers.items()})) for effect, numbers in own]
 
-    def _places(self, seen: dict[str, Any], eta, opened: Opened | None) -> Named:
+    def _places(self, seen: dict[str, Any], eta, opened: Opened | Noted | None) -> Named:
         context = Named(seen)
         verbs: dict[str, dict] = {}
         for port in self.ports:

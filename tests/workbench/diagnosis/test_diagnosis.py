@@ -446,7 +446,7 @@ def test_what_cannot_be_told_apart_is_said_to_tie():
 def test_a_static_error_of_a_sensor_is_said_to_be_that_of_its_equation_where_the_output_is_computed(measured, computed):
     plant = replace(AXIS, outputs=(Channel("y", "", "output"),), measure=lambda x, p: {"y": measured(x, p)}, noise={})
     assert plant.computed == ({"y"} if computed else set())
-    said = {slot.effect.id: causes._sentence(plant, slot) for slot in plant.slots if slot.place == "y"}
+    said = {slot.effect.id: causes.sentence(plant, slot) for slot in plant.slots if slot.place == "y"}
     for effect in ("sensor-gain", "sensor-bias", "sensor-nonlinearity"):
         assert ("equation of y" in said[effect]) is computed
     assert "equation" not in said["sensor-lag"] + said["backlash"]

@@ -1,12 +1,17 @@
 """Springs that are not linear, outflows that are not in proportion and tanks that overflow, simulated by scipy and named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from workbench.data import Channel, Dataset, Experiment
+from workbench.diagnosis import causes
 from workbench.diagnosis.answer import Finding
 from workbench.diagnosis.diagnosis import diagnose
+from workbench.diagnosis.domains import shown
+from workbench.errors import InputError
 from workbench.physics.effects import Spring, Tank
 from workbench.physics.parameters import Parameter
 from workbench.physics.plant import Plant
@@ -131,7 +136,80 @@ def test_nothing_is_named_where_nothing_is_missing(plant, data, seed):
 def test_a_twisted_spring_has_torques_and_angles():
     (pulled,), (twisted,) = (
         [port.fitted(p) for p in effect.parameters]
-        for port in (Spring("s"), Spring("s", twisted=True))
+        for port in (Spring("s"), Spring("s", force="N m", stretch="rad"))
         for effect in MASS.offered["spring", "spring"][:1]
     )
     assert (pulled.unit, twisted.unit) == ("N/m^3", "N m/rad^3")
+
+
+def test_a_level_that_jumps_once_hides_no_brim():
+    (one, other), readings = fillings(0, brim=0.5, root=False), []
+    for e in (one, other):
+        y = e["h"].copy()
+        y[300] += 0.3
+        readings.append(Experiment.from_arrays(e.name, 2.0, inputs={"pump": e["pump"]}, outputs={"h": y}, units={"pump": "l/s"}))
+    found = diagnose(TANK, *halves(Dataset(tuple(readings))))
+    assert "overflow@tank" in [c.key for c in found.causes]
+
+
+def test_a_tank_whose_level_is_no_state_or_in_another_unit_is_refused():
+    with pytest.raises(InputError, match="state 'hh'"):
+        replace(TANK, ports=(Tank("tank", "hh"),))
+    with pytest.raises(InputError, match=r"the level h is in m, the tank in cm"):
+        replace(TANK, ports=(Tank("tank", "h", unit="cm", flow="l/min"),))
+    volts = Tank("tank", "h", unit="cm", flow="l/min")
+    rate, brim = (volts.fitted(p) for p in TANK.offered["tank", "tank"][1].parameters)
+    assert (rate.unit, brim.unit) == ("l/min/cm", "cm")
+
+
+def test_a_bias_of_a_level_may_be_the_height_of_the_outlet():
+    """The root of h + 0.5 is that of a level with a bias of 0.5: no record tells them apart."""
+    (slot,) = [slot for slot in TANK.slots if slot.key == "sensor-bias@h"]
+    assert "Or the outlet of a tank lies lower or higher by that" in causes.sentence(TANK, slot)
+
+
+def test_the_picture_of_a_spring_between_two_masses_is_over_its_stretch():
+    def equation(x, u, p, at):
+        twisted = p.k * (x.a - x.b) - at.shaft.push(x.a - x.b)
+        return {"a": x.wa, "wa": u.M - 0.8 * x.wa - twisted, "b": x.wb, "wb": twisted - 0.8 * x.wb}
+
+    plant = Plant(
+        name="two masses",
+        states=(Channel("a", "rad"), Channel("wa", "rad/s"), Channel("b", "rad"), Channel("wb", "rad/s")),
+        inputs=(Channel("M", "N m", "input"),),
+        outputs=(Channel("a", "rad", "output"), Channel("b", "rad", "output")),
+        parameters=(Parameter("k", 100.0, "N m/rad", tolerance=0.2),),
+        equation=equation,
+        measure=lambda x, p: {"a": x.a, "b": x.b},
+        dt=0.02,
+        ports=(Spring("shaft", force="N m", stretch="rad"),),
+    )
+    random = np.random.default_rng(0)
+    M = np.repeat(random.uniform(-15.0, 15.0, 60), 8)
+
+    def rates(x, u):
+        torque = 100.0 * (x[0] - x[2]) + 3000.0 * (x[0] - x[2]) ** 3
+        return [x[1], u - 0.8 * x[1] - torque, x[3], torque - 0.8 * x[3]]
+
+    x = run(rates, [0.0] * 4, M, 0.02)
+    y = {name: x[:, j] + 1e-4 * random.standard_normal(len(M)) for name, j in (("a", 0), ("b", 2))}
+    e = Experiment.from_arrays("r", 0.02, inputs={"M": M}, outputs=y, units={"M": "N m", "a": "rad", "b": "rad"})
+    drawn = shown(plant, {"cubic-spring@shaft": {"cubic": 3000.0}}, "cubic-spring@shaft", Dataset((e,)))
+    assert (drawn.over.name, drawn.over.unit) == ("stretch of shaft", "rad")
+    np.testing.assert_allclose(np.abs(drawn.after), 3000.0 * np.abs(drawn.x) ** 3, atol=0.15 * np.abs(drawn.after).max())
+
+
+def test_the_picture_of_a_lower_tank_is_not_of_the_upper_one():
+    e = fillings(0).experiments[0]
+    plant = replace(
+        TANK,
+        states=(Channel("up", "m"), Channel("h", "m")),
+        equation=lambda x, u, p, at: {
+            "up": (1e-3 * u.pump - p.k * x.up) / p.A,
+            "h": (p.k * x.up - p.k * x.h - at.tank.flows(p.k * x.h).outlet) / p.A,
+        },
+    )
+    drawn = shown(plant, {"outflow-law@tank": {"exponent": -0.5}}, "outflow-law@tank", Dataset((e,)))
+    assert drawn.over.name == "h"
+    assert "rate of h" in drawn.what.name
+    assert np.abs(drawn.after).max() > 1e-5

@@ -2,7 +2,7 @@
 
 law(e, spring) -> push [N], positive in the direction of positive stretch: what pulls back is negative. `spring` has .stretch [m].
 
-Parameters are written for a spring that is pulled. For one that is twisted the same laws hold with N m and rad: see `Spring`.
+Parameters are written in N and m. Of a spring that is twisted, or in other units, the port says so: see `Spring`.
 """
 
 from collections.abc import Callable
@@ -49,22 +49,23 @@ EFFECTS = (CUBIC_SPRING, BENT_SPRING)
 class Spring(Port):
     """m v' = .. - k s + at.<place>.push(s): port for a spring of stretch s.
 
-    twisted: it is a spring in N m and rad.
+    force, stretch: their units where they are no N and m, as "N m" and "rad" of a spring that is twisted.
 
-        >>> port = Spring("belt", twisted=True)
+        >>> port = Spring("belt", force="N m", stretch="rad")
         >>> [name for name, effect in EFFECTS.items() if effect.family == port.family]
         ['cubic-spring', 'bent-spring']
     """
 
-    twisted: bool = False
+    force: str = "N"
+    stretch: str = "m"
     family = "spring"
     symbols = "push: force or torque, positive in the direction of positive stretch; s: stretch or twist"
     law = "law(e, spring) -> push; spring has .stretch"
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
-        """The parameter in N m for N and rad for m, where it is twisted."""
-        unit = parameter.unit.replace("m", "rad").replace("N", "N m") if self.twisted else parameter.unit
-        return replace(parameter, unit=unit)
+        """The parameter in the units of the spring."""
+        own = {f"N/m^{n}": f"{self.force}/{self.stretch}^{n}" for n in (2, 3)}
+        return replace(parameter, unit=own.get(parameter.unit, parameter.unit))
 
     def verbs(self, effects, context) -> dict:
         """push(stretch): the sum of all effects' forces or torques."""

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from workbench.data import Channel
+from workbench.errors import InputError
 from workbench.physics.effects.effect import Domain, Effect, EffectParameter, GridUnit, Named, Port
 from workbench.records import field, record
 
@@ -80,8 +82,7 @@ class Tank(Port):
 
     def fitted(self, parameter: EffectParameter) -> EffectParameter:
         """The parameter in the units of the tank."""
-        metric = (self.unit, self.flow) == ("m", "m^3/s")
-        own = {"m": self.unit, "m^2/s": "m^2/s" if metric else f"{self.flow}/{self.unit}"}
+        own = {"m": self.unit, "m^2/s": "m^2/s" if (self.unit, self.flow) == ("m", "m^3/s") else f"{self.flow}/{self.unit}"}
         return replace(parameter, unit=own.get(parameter.unit, parameter.unit))
 
     def verbs(self, effects, context) -> dict:
@@ -99,3 +100,12 @@ class Tank(Port):
         """What flows through the outlet and over the brim."""
         outlet, spill = effect.law(e, Named({"level": some(), "outflow": some(), "rest": self.rest}))
         return [outlet, spill]
+
+
+def check_unit(port: Tank, level: Channel, plant: str) -> None:
+    """Refuse a tank whose unit is not that of its level (InputError): its brim would be named in the wrong one."""
+    if level.unit != port.unit:
+        mend = f"Tank({port.place!r}, {port.level!r}, unit={level.unit!r}, flow=...), with the unit of outflow"
+        raise InputError(
+            f"the level {level.name} is in {level.unit or '1'}, the tank in {port.unit or '1'}", file=plant, mend=mend
+        )
