@@ -1,5 +1,6 @@
 """One conformance suite over every effect at every place of every plant that offers it."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,11 +10,12 @@ from plants import PLANTS as OURS
 from studies.real_plants import CASCADED_TANKS, SILVERBOX
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
-from workbench.physics.effects import EFFECTS
+from workbench.physics.effects import EFFECTS, Slide, Spring
 from workbench.physics.effects.effect import GridUnit
 from workbench.simulation import Scenario, simulate_batch
 
-PLANTS = {**OURS, "silverbox": SILVERBOX, "cascaded-tanks": CASCADED_TANKS}  # a spring, tanks
+SPRUNG = replace(SILVERBOX, ports=(Slide("mass", "v", travel=0.5), Spring("spring")))  # it moves at some 50 m/s
+PLANTS = {**OURS, "silverbox": SPRUNG, "cascaded-tanks": CASCADED_TANKS}
 # a size of each effect that a technician would notice, in units of the machine: torque or force, command
 FORCE = {"web-winding": 2e-3, "welding-robot": 0.3, "positioning-axis": 5.0, "silverbox": 0.01, "cascaded-tanks": 0.1}
 COMMAND = {"welding-robot": 2.0, "positioning-axis": 300.0, "silverbox": 0.1}  # where the machine starts from rest
@@ -56,7 +58,7 @@ def size_of(plant, slot):
         unit = {GridUnit.COMMAND: command, GridUnit.IMPULSE: command * plant.dt, GridUnit.SAMPLE: plant.dt, GridUnit.NOISE: noise}
         return effect.grid[len(effect.grid) // 2] * unit[effect.grid_unit]
     if effect.id == "quadratic-friction":  # over the square of a usual speed
-        return FORCE[plant.name] / {"web-winding": 100.0**2}.get(plant.name, 0.1**2)
+        return FORCE[plant.name] / {"web-winding": 100.0**2, "silverbox": 50.0**2}.get(plant.name, 0.1**2)
     return REGULAR.get(effect.id, FORCE[plant.name])
 
 
