@@ -65,7 +65,7 @@ def diagnose(
     friction and offset: where it leaves something that no effect explains, the search is made again without it, and counts if
     what it names helps a second ahead. Parameters and sizes are those of the likelihood or of the free run, whichever errs less
     a second and the full run ahead. Inputs that were measured while they moved are told from held ones, see `courses`. Of long
-    records the beginnings are searched, and the whole where these do not tell all; see `beginnings`. Raises InputError for
+    records the beginnings are searched, and more of them where these do not tell all; see `beginnings`. Raises InputError for
     records that cannot be of this plant, unless the user takes them `anyway`; see `check`.
     """
     began = time.perf_counter()

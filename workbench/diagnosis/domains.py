@@ -100,9 +100,8 @@ def _missing_rate(scene: _Scene) -> _Points:
     """Torque, force or rate of change of the state in which the effect shows best."""
     missing = scene.course.missing
     added = _rates(scene, scene.eta) - _rates(scene, scene.without)
-    # noise may enter elsewhere than an effect does
-    entries = [j for j in _entries(scene) if np.any(added[:, j])] or [j for j in range(added.shape[1]) if np.any(added[:, j])]
-    entries = entries or _entries(scene)
+    moved = np.any(added, axis=0)  # noise may enter elsewhere than an effect does
+    entries = [j for j in _entries(scene) if moved[j]] or np.flatnonzero(moved).tolist() or _entries(scene)
     clear = [np.sqrt(np.mean(added[:, j] ** 2)) / (np.std(missing[:, j]) + 1e-300) for j in entries]
     j = entries[int(np.argmax(clear))]
     what, scale = _unit(scene, added[:, j], j)
