@@ -1,18 +1,21 @@
 """Discrete PID whose gains are surfaces over the schedule; one constant surface is a fixed PID.
 
-    v  = u0 + Kr r + Kp (b r - y) + z + Kd f                     parallel form, gains are matrices (nu, ny) of rho
-    f  = a f- + (1 - a) ((c r - y) - (c r - y)-) / dt,           a = Tf / (Tf + dt): filtered derivative
+    s  = the set-point r within `slew` from the last s
+    m  : m'' = w^2 (s - m) - 2 w m',                             w = `bandwidth`: reference model, m = s where it is infinite
+    v  = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f             parallel form, gains are matrices (nu, ny) of rho
+    f  = a f- + (1 - a) ((c m - y) - (c m - y)-) / dt,           a = Tf / (Tf + dt): filtered derivative
     u  = v within `low`, `high` and `rate` from the last command
-    z+ = z + dt Ki (r - y) + what keeps z from winding up
+    z+ = z + dt Ki (m - y) + what keeps z from winding up
 
-The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0 moves u by what u0,
-Kr r and Kp (b - 1) r move, and not by the gains (both are the same law where rho stands still). As a transfer function from
-e = r - y, with b = c = 1, Kr = 0 and z = exp(s dt):
+Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start begins at rest
+at the first set-point. The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0
+moves u by what u0, Kr m and Kp (b - 1) m move, and not by the gains (both are the same law where rho stands still). As a transfer
+function from e = m - y, with b = c = 1, Kr = Ka = 0 and z = exp(s dt):
 
     K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf)
 
-Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weights, windup) and 13 (the discrete law); Rugh and
-Shamma, "Research on gain scheduling", Automatica 36 (2000), section 5, on where the integral stands.
+Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weights, windup), 5 (two degrees of freedom) and 13
+(the discrete law); Rugh and Shamma, "Research on gain scheduling", Automatica 36 (2000), section 5, on where the integral stands.
 """
 
 from collections.abc import Sequence
@@ -52,18 +55,25 @@ AntiWindup = BackCalculation | Clamping
 ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
 KIND = "scheduled-pid"
 LAW = "u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
+SHAPED_LAW = (
+    "u = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the derivative of c m - y filtered by Tf, "
+    "m'' = w^2 (s - m) - 2 w m' with w the bandwidth, s the set-point within slew of the last s"
+)
 
 
 @record
 class ScheduledPID:
     """u from r and y by a PID law with gains K(rho) = sum_j K_j phi_j(rho).
 
-    u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the filtered derivative of c r - y.
+    u = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the filtered derivative of c m - y; m is the
+    set-point r, or what a reference model makes of it.
 
     Kp (m, nu, ny), Ki [1/s], Kd [s], Kr, u0 (m, nu): coefficients of the m basis functions; Kr: feedforward of the set-points.
     `schedule` names the measured output that is rho; outside `span` the gains hold their edge value. Of several schedule
     variables `schedule` is a tuple, `span` (ns, 2), and rho (ns,). b, c (ny): set-point weights of the proportional and the
     derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu): limits of the command.
+    slew [1/s], bandwidth [rad/s] (ny), or one number for all: largest rate of the set-points, and speed of their reference
+    models; infinite: none. Ka [s] (m, nu, ny): feedforward of the reference models' rates.
 
         >>> law.gains_at(0.0).Ki.round(1), law.gains_at(10.0).Ki.round(1)
         (array([[5.1]]), array([[18.9]]))
@@ -88,6 +98,9 @@ class ScheduledPID:
     basis: Basis = CONSTANT
     schedule: str | tuple[str, ...] | None = None
     span: np.ndarray = field("...", default=(-np.inf, np.inf))
+    slew: np.ndarray = field("...", unit="1/s", low=1e-300, default=np.inf)
+    bandwidth: np.ndarray = field("...", unit="rad/s", low=1e-300, default=np.inf)
+    Ka: np.ndarray = field("...", unit="s", low=-FAR, high=FAR, default=0.0)
     name: str = "scheduled-pid"
     units: dict[str, str] = field(default_factory=dict)  # of the channels by name, where they are known
 
@@ -103,6 +116,17 @@ class ScheduledPID:
         if len(self.basis.names) != m:
             raise InputError(f"{m} coefficients for {len(self.basis.names)} basis functions", file=self.name)
         check_limits(self.name, self.actuated, self.low, self.high)
+        for key, shape, none in (("slew", (ny,), np.inf), ("bandwidth", (ny,), np.inf), ("Ka", self.Kp.shape, 0.0)):
+            given = np.asarray(getattr(self, key))
+            given = np.asarray(none) if (given == none).all() else given
+            if given.shape not in ((), shape):
+                raise InputError(f"{key} of shape {given.shape}", file=self.name, mend=f"one number, or shape {shape}")
+            object.__setattr__(self, key, np.broadcast_to(given, shape))
+        for name in (
+            own for own, w, K in zip(self.references, self.bandwidth, self.Ka.T, strict=True) if K.any() and w == np.inf
+        ):
+            mend = "give it a bandwidth, or Ka = 0"
+            raise InputError("Ka for a set-point without a reference model", file=self.name, channel=name, mend=mend)
         if self.schedule is None and m > 1:
             raise InputError("the gains move with a schedule that is not named", file=self.name, mend="give schedule=")
         several = schedules_of(self) if isinstance(self.schedule, tuple) else ()
@@ -136,6 +160,11 @@ class ScheduledPID:
         times = np.divide(direct, integral, out=np.full(len(direct), self.dt), where=integral > 0.0)
         return np.maximum(times, self.dt)
 
+    @property
+    def shaped(self) -> bool:
+        """Whether a set-point goes through a slew limit or a reference model."""
+        return bool(np.isfinite([self.slew, self.bandwidth]).any())
+
     def unit(self, channel: str) -> str:
         """Unit of a channel, "" where it is not known; a set-point has that of its output."""
         return self.units.get(dict(zip(self.references, self.measured, strict=True)).get(channel, channel), "")
@@ -155,7 +184,7 @@ class ScheduledPID:
         return float(np.max(np.maximum(low - rho, rho - high) / (high - low), initial=0.0))
 
     def gains_at(self, rho: Any = None) -> "Gains":
-        """Kp, Ki, Kd, Kr (nu, ny) and u0 (nu,) at one schedule value, (ns,) of several variables."""
+        """Kp, Ki, Kd, Kr, Ka (nu, ny) and u0 (nu,) at one schedule value, (ns,) of several variables."""
         weight = self.basis(np.clip(0.0 if rho is None else rho, self.span[..., 0], self.span[..., 1]))
         return Gains(*(np.tensordot(weight, getattr(self, key), 1) for key in Gains._fields))
 
@@ -164,34 +193,50 @@ class ScheduledPID:
         return self.gains_at(rho).u0
 
     def at(self, rho: Any = None) -> "control.StateSpace":
-        """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c r - y.
+        """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c m - y, and
+        m, m' of the set-points that have a reference model; without slew limits.
 
         Without the z of commands that nothing is integrated for: they stay at 0, and are no pole at 1.
         """
         import control  # takes a second to import, and only this needs it
 
-        Kp, Ki, Kd, Kr, _ = self.gains_at(rho)
-        nu, ny = Kp.shape
-        a, one = self.Tf / (self.Tf + self.dt), np.eye(ny)
-        e, proportional, derivative = (np.hstack([np.diag(weight), -one]) for weight in (np.ones(ny), self.b, self.c))
-        new = (1 - a) / self.dt * derivative  # f = before (z, f-, d-) + new (r, y)
-        z = np.eye(nu)[self.Ki.any(axis=(0, 2))]
-        before = np.hstack([np.zeros((ny, len(z))), a * one, -(1 - a) / self.dt * one])
-        A = np.vstack([np.eye(len(z), len(z) + 2 * ny), before, np.zeros((ny, len(z) + 2 * ny))])
-        B = np.vstack([self.dt * z @ Ki @ e, new, derivative])
-        C = np.hstack([z.T, np.zeros((nu, 2 * ny))]) + Kd @ before
-        D = Kp @ proportional + Kd @ new + np.hstack([Kr, np.zeros((nu, ny))])
+        K, (nu, ny) = self.gains_at(rho), self.Kp.shape[1:]
+        integrated, modelled = self.Ki.any(axis=(0, 2)), np.isfinite(self.bandwidth)
+        sizes = integrated.sum(), ny, ny, modelled.sum(), modelled.sum(), ny, ny
+        # every signal is a row over (z, f, d, m, m', r, y)
+        z, f, d, m, rate, r, y = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+        before = [np.eye(ny)[:, modelled] @ own for own in (m, rate)]
+        own = self.reference_model
+        m, rate = (own[:, [i]] * before[0] + own[:, [i + 1]] * before[1] + own[:, [i + 2]] * r for i in (0, 3))
+        a, slope = self.Tf / (self.Tf + self.dt), self.c[:, None] * m - y
+        after_f = a * f + (1.0 - a) / self.dt * (slope - d)
+        after_z = z + self.dt * K.Ki[integrated] @ (m - y)
+        u = K.Kr @ m + K.Ka @ rate + K.Kp @ (self.b[:, None] * m - y) + np.eye(nu)[:, integrated] @ z + K.Kd @ after_f
+        states = len(z) + 2 * ny + 2 * int(modelled.sum())
+        (A, B), (C, D) = (
+            np.split(own, [states], axis=1) for own in (np.vstack([after_z, after_f, slope, m[modelled], rate[modelled]]), u)
+        )
         return control.StateSpace(
             A, B, C, D, self.dt, inputs=[*self.references, *self.measured], outputs=list(self.actuated), name=self.name
         )
 
+    @property
+    def reference_model(self) -> np.ndarray:
+        """(ny, 6): m of m-, m'- and s, then m' of them; the critically damped model over a sample in which s stands still."""
+        w = np.where(np.isfinite(self.bandwidth), self.bandwidth, 0.0)
+        x = w * self.dt
+        decay = np.where(np.isfinite(self.bandwidth), np.exp(-x), 0.0)
+        return np.column_stack(
+            [(1 + x) * decay, self.dt * decay, 1 - (1 + x) * decay, -w * x * decay, (1 - x) * decay, w * x * decay]
+        )
+
     def response(self, omega: np.ndarray, rho: Any = None) -> np.ndarray:
-        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = r - y, all weights 1, without Kr."""
+        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = m - y, all weights 1, without Kr and Ka."""
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
 
     def weighted(self, b: np.ndarray | float, at: np.ndarray, *, feedforward: bool = True) -> "ScheduledPID":
-        """The law with set-point weights b (ny,), without Kr where feedforward is not wanted, that commands the same as before
-        where r = y = at: (ny,), or (m, ny) with a row for each basis function.
+        """The law with set-point weights b (ny,), without Kr and Ka where feedforward is not wanted, that commands as before
+        at rest where r = y = at: (ny,), or (m, ny) with a row for each basis function.
 
         Kp(rho) (b - 1) r and Kr(rho) r are commands that the integral would have to make up for, and that move with the schedule:
         u0 takes them away at the usual set-point.
@@ -199,18 +244,18 @@ class ScheduledPID:
         after = np.broadcast_to(np.asarray(b, dtype=float), self.b.shape)
         lost = self.Kp * (self.b - after) + (0.0 if feedforward else self.Kr)
         at = np.broadcast_to(at, (len(lost), len(after)))
-        return replace(
-            self, b=after, Kr=self.Kr if feedforward else np.zeros_like(self.Kr), u0=self.u0 + np.einsum("iuy,iy->iu", lost, at)
-        )
+        kept = {} if feedforward else {"Kr": np.zeros_like(self.Kr), "Ka": np.zeros_like(self.Ka)}
+        return replace(self, b=after, u0=self.u0 + np.einsum("iuy,iy->iu", lost, at), **kept)
 
     # ---- files ----------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package; a limit that is not there is null."""
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
+        shaping = {"slew": finite(self.slew), "bandwidth": finite(self.bandwidth), "Ka": self.Ka} if self.shaped else {}
         return {
             "kind": KIND,
-            "law": LAW,
+            "law": SHAPED_LAW if self.shaped else LAW,
             "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
             "references": list(self.references),
             "schedule": list(self.schedule) if isinstance(self.schedule, tuple) else self.schedule,
@@ -218,7 +263,7 @@ class ScheduledPID:
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "Kr": self.Kr, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
-        }  # fmt: skip
+        } | shaping  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
@@ -233,6 +278,8 @@ class ScheduledPID:
             rate=unlimited(content["rate"], np.inf), Tf=content["Tf"], basis=basis_from_dict(content["basis"]),
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=schedule, name=content["name"], units=dict(content.get("units", {})), span=_ends(content["span"]),
+            **{key: unlimited(content[key], np.inf) for key in ("slew", "bandwidth") if key in content},
+            Ka=content.get("Ka", 0.0),
         )  # fmt: skip
 
     def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:
@@ -250,22 +297,27 @@ class ScheduledPID:
         knots = knots_of(self.basis)  # other knots, same kernel
         numbers = (self.span, *knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
         decay = self.Tf / (self.Tf + self.dt)
-        every = np.concatenate([*(n.ravel() for n in numbers), self.dt / self.tracking, [decay, (1 - decay) / self.dt]])
+        shaping = (self.slew * self.dt, self.reference_model.T, self.Ka) if self.shaped else ()
+        rest = (self.dt / self.tracking, np.array([decay, (1 - decay) / self.dt]), *shaping)
+        every = np.concatenate([n.ravel() for n in (*numbers, *rest)])
         return np.clip(every, -FAR, FAR)  # compiled limits count on finite numbers
 
     def init(self, u: np.ndarray | None = None) -> np.ndarray:
-        """Memory before the first sample: z (nu), f (ny), last c r - y (ny), last u (nu), cold, taking over.
+        """Memory before the first sample: z (nu), f (ny), last c m - y (ny), last u (nu), cold, taking over, and where set-points
+        are shaped s, m, m' (ny each).
 
         Without u the first command is that of z = 0. With u it is u itself: a start without a bump.
         """
         nu, ny = self.Kp.shape[1:]
         last = np.zeros(nu) if u is None else np.asarray(u, dtype=float)
-        return np.concatenate([np.zeros(nu + 2 * ny), last, [1.0, 0.0 if u is None else 1.0]])
+        return np.concatenate([np.zeros(nu + 2 * ny), last, [1.0, 0.0 if u is None else 1.0], np.zeros(3 * ny * self.shaped)])
 
     def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any = None) -> tuple[list, list]:
         """(u, memory) on numbers, arrays or symbols."""
         K, at = self._numbers(gains, rho), self._split(state)
-        direct, f, d = self._direct(K, at, r, y)
+        aim = self._aim(K, at, r)
+        r = aim.m
+        direct, f, d = self._direct(K, at, aim, y)
         after, u = [], []
         for i, own in enumerate(direct):
             z = at.z[i] + at.takes_over * (at.u[i] - own - at.z[i])
@@ -277,7 +329,7 @@ class ScheduledPID:
             if isinstance(self.anti_windup, Clamping):
                 push = push * (1.0 - ((v - u[i]) * push > 0.0))
             after.append(z + push + K.follow[i] * (u[i] - v))
-        return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold]
+        return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold, *aim.memory]
 
     def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """One sample: (u, next memory). Where a set-point, a measurement or the schedule is no finite number, the last command
@@ -295,18 +347,33 @@ class ScheduledPID:
         law when gains change.
         """
         K, at = self._numbers(self.gains, rho), self._split(state)
-        direct, f, d = self._direct(K, at, r, y)
+        aim = self._aim(K, at, r)
+        direct, f, d = self._direct(K, at, aim, y)
         z = [u[i] - own for i, own in enumerate(direct)]
-        return np.array([*z, *f, *d, *u, 0.0, 0.0], dtype=float)
+        return np.array([*z, *f, *d, *u, 0.0, 0.0, *aim.memory], dtype=float)
 
-    def _direct(self, K: "_Numbers", at: "_Memory", r: Any, y: Any) -> tuple[list, list, list]:
-        """The command without the integral, f, and c r - y."""
+    def _aim(self, K: "_Numbers", at: "_Memory", r: Any) -> "_Aim":
+        """What the loop follows: the set-points within their slew, through their reference models."""
+        if not self.shaped:
+            return _Aim(list(r), [], [])
+        s, m, rate = [], [], []
+        for j, (a, b, c, d, e, f) in enumerate(zip(*K.reference_model, strict=True)):
+            held, was = (own[j] + at.cold * (r[j] - own[j]) for own in (at.s, at.m))
+            s.append(np.maximum(held - K.slew[j], np.minimum(held + K.slew[j], r[j])))
+            m.append(a * was + b * at.rate[j] + c * s[j])
+            rate.append(d * was + e * at.rate[j] + f * s[j])
+        return _Aim(m, rate, s)
+
+    def _direct(self, K: "_Numbers", at: "_Memory", aim: "_Aim", y: Any) -> tuple[list, list, list]:
+        """The command without the integral, f, and c m - y."""
+        r = aim.m
         d = [K.c[j] * r[j] - y[j] for j in range(len(y))]
         f = [K.decay * at.f[j] + K.fresh * (d[j] - at.d[j]) * (1.0 - at.cold) for j in range(len(y))]
         direct = []
         for i, own in enumerate(K.u0):
             for j in range(len(y)):
                 own = own + K.Kr[i][j] * r[j] + K.Kp[i][j] * (K.b[j] * r[j] - y[j]) + K.Kd[i][j] * f[j]
+                own = own + K.Ka[i][j] * aim.rate[j] if self.shaped else own
             direct.append(own)
         return direct, f, d
 
@@ -337,13 +404,17 @@ class ScheduledPID:
         return _Numbers(
             Kp=matrix(), Ki=matrix(), Kd=matrix(), Kr=matrix(), u0=surface(nu), b=take(ny), c=take(ny), low=take(nu),
             high=take(nu), rate=take(nu), follow=take(nu), decay=take(1)[0], fresh=take(1)[0],
+            slew=take(ny * self.shaped), reference_model=[take(ny) for _ in range(6 * self.shaped)],
+            Ka=matrix() if self.shaped else [],
         )  # fmt: skip
 
     def _split(self, state: Any) -> "_Memory":
         nu, ny = self.Kp.shape[1:]
-        ends = np.cumsum([nu, ny, ny, nu])
-        z, f, d, u = ([state[i] for i in range(b - n, b)] for b, n in zip(ends, (nu, ny, ny, nu), strict=True))
-        return _Memory(z, f, d, u, state[ends[-1]], state[ends[-1] + 1])
+        sizes = (nu, ny, ny, nu, 1, 1, *(ny * self.shaped,) * 3)
+        z, f, d, u, cold, takes_over, s, m, rate = (
+            [state[i] for i in range(b - n, b)] for b, n in zip(np.cumsum(sizes), sizes, strict=True)
+        )
+        return _Memory(z, f, d, u, cold[0], takes_over[0], s, m, rate)
 
 
 class Gains(NamedTuple):
@@ -353,6 +424,7 @@ class Gains(NamedTuple):
     Ki: np.ndarray
     Kd: np.ndarray
     Kr: np.ndarray
+    Ka: np.ndarray
     u0: np.ndarray
 
 
@@ -372,6 +444,9 @@ class _Numbers(NamedTuple):
     follow: list
     decay: Any
     fresh: Any
+    slew: list
+    reference_model: list[list]
+    Ka: list[list]
 
 
 class _Memory(NamedTuple):
@@ -383,6 +458,21 @@ class _Memory(NamedTuple):
     u: list
     cold: Any
     takes_over: Any
+    s: list
+    m: list
+    rate: list
+
+
+class _Aim(NamedTuple):
+    """What the loop follows, its rate, and the set-points within their slew."""
+
+    m: list
+    rate: list
+    s: list
+
+    @property
+    def memory(self) -> list:
+        return [*self.s, *self.m, *self.rate] if self.s else []
 
 
 def check_limits(law: str, channels: Sequence[str], lows: np.ndarray, highs: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from controllers.mpc import MPC, Extrapolated
-from controllers.scheduled_pid import LAW, BackCalculation, ScheduledPID, finite
+from controllers.scheduled_pid import LAW, SHAPED_LAW, BackCalculation, ScheduledPID, finite
 from workbench.basis import Basis, PiecewiseLinear, Powers, Products
 from workbench.errors import InputError
 from workbench.lpv import mesh, one_or_all
@@ -56,15 +56,16 @@ def gain_axes(law: ScheduledPID) -> list[np.ndarray]:
 
 
 def gain_csv(law: ScheduledPID) -> str:
-    """Kp, Ki, Kd, Kr and u0 over the schedule as CSV, a column a number; units where they are known."""
+    """Kp, Ki, Kd, Kr, Ka and u0 over the schedule as CSV, a column a number; units where they are known."""
     schedules = schedules_of(law)
     header = [f"{name} [{law.unit(name)}]" for name in schedules]
-    for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s"), ("Kr", "")):
+    shaped = (("Ka", " s"),) if law.shaped else ()
+    for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s"), ("Kr", ""), *shaped):
         header += [f"{name}_{a}_{m} {law.gain_unit(a, m, time)}".rstrip() for a in law.actuated for m in law.measured]
     header += [f"u0_{a}" + f" [{law.unit(a)}]" * bool(law.unit(a)) for a in law.actuated]
     rows = [",".join(header)]
     for rho in mesh(gain_axes(law)):
-        numbers = [np.ravel(K) for K in law.gains_at(rho)]
+        numbers = [np.ravel(K) for K in _gains(law, rho).values()]
         rows.append(",".join(repr(float(v)) for v in np.concatenate([np.atleast_1d(rho)[: len(schedules)], *numbers])))
     return "\n".join(rows) + "\n"
 
@@ -74,18 +75,26 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
     named = lambda names: [{"name": name, "unit": law.unit(name)} for name in names]  # noqa: E731
     axes, schedules = gain_axes(law), named(schedules_of(law))
     points = mesh(axes)
-    rows = [law.gains_at(rho)._asdict() for rho in points]
+    rows = [_gains(law, rho) for rho in points]
+    shaping = {"slew": finite(law.slew), "bandwidth": finite(law.bandwidth)} if law.shaped else {}
     back = isinstance(law.anti_windup, BackCalculation)
     return {
-        "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name, "law": LAW, "dt": law.dt,
+        "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name,
+        "law": SHAPED_LAW if law.shaped else LAW, "dt": law.dt,
         "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
         "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
+        **shaping,
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
-        "largest_difference": _differences(axes, rows, lambda rho: law.gains_at(rho)._asdict()),
+        "largest_difference": _differences(axes, rows, lambda rho: _gains(law, rho)),
         "rows": [({"rho": rho} if law.schedule else {}) | row for rho, row in zip(points, rows, strict=True)],
     }  # fmt: skip
+
+
+def _gains(law: ScheduledPID, rho: Any) -> dict[str, np.ndarray]:
+    """The gains at a schedule value by name; Ka where there is a reference model."""
+    return {key: K for key, K in law.gains_at(rho)._asdict().items() if key != "Ka" or law.shaped}
 
 
 def mpc_matrices(law: MPC) -> dict[str, Any]:

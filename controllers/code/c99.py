@@ -48,9 +48,9 @@ enum { ${NAME}_FREE, ${NAME}_AT_LOW, ${NAME}_AT_HIGH, ${NAME}_AT_RATE };
 typedef struct {
     /* memory */
     ${name}_real z[${NAME}_NU]; /* integral parts */
-    ${name}_real f[${NAME}_NY]; /* filtered derivatives of C r - y */
-    ${name}_real d[${NAME}_NY]; /* last C r - y */
-    ${name}_real u[${NAME}_NU]; /* last commands */
+    ${name}_real f[${NAME}_NY]; /* filtered derivatives of C $m - y */
+    ${name}_real d[${NAME}_NY]; /* last C $m - y */
+${shaping_state}    ${name}_real u[${NAME}_NU]; /* last commands */
     bool cold; /* no sample yet: no derivative */
     bool takes_over; /* the next command goes on from u */
     /* what the last step reports */
@@ -124,7 +124,7 @@ $schedule    s->valid = $finite;
         return;
     }
     for (int j = 0; j < NY; ++j) {
-        const real d = C[j] * r[j] - y[j];
+$shaping        const real d = C[j] * $aim - y[j];
         s->f[j] = s->cold ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
         s->d[j] = d;
     }
@@ -132,10 +132,10 @@ $schedule    s->valid = $finite;
         real own = $u0; /* the command without its integral part */
         real push = 0; /* what the error adds to the integral part */
         for (int j = 0; j < NY; ++j) {
-            own += $Kr * r[j];
-            own += $Kp * (B[j] * r[j] - y[j]);
+            own += $Kr * $aim;
+$Ka            own += $Kp * (B[j] * $aim - y[j]);
             own += $Kd * s->f[j];
-            push += PERIOD * $Ki * (r[j] - y[j]);
+            push += PERIOD * $Ki * ($aim - y[j]);
         }
         if (s->takes_over)
             s->z[i] = s->u[i] - own;
@@ -217,6 +217,17 @@ C_SHARES = """\
 C_EVEN = """\
     for (int k = 0; k < TERMS; ++k)
         phi[k] = 1 + 0 * rho;"""
+C_SHAPING_STATE = Template("""\
+    ${name}_real s[${NAME}_NY]; /* set-points within their slew */
+    ${name}_real m[${NAME}_NY]; /* reference models */
+    ${name}_real n[${NAME}_NY]; /* their rates */
+""")
+C_SHAPING = """\
+        const real held = s->cold ? r[j] : s->s[j], m = s->cold ? r[j] : s->m[j], n = s->cold ? 0 : s->n[j];
+        s->s[j] = clipped(r[j], held - SLEW[j] * PERIOD, held + SLEW[j] * PERIOD);
+        s->m[j] = MODEL[j][0] * m + MODEL[j][1] * n + MODEL[j][2] * s->s[j];
+        s->n[j] = MODEL[j][3] * m + MODEL[j][4] * n + MODEL[j][5] * s->s[j];
+"""
 C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * (u[i] - v);"
 C_CLAMPING = """\
 if (!((v - u[i]) * push > 0))
@@ -247,7 +258,9 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
         "finite": isfinite if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
-        "Kr": gain("KR[i][j]"),
+        "Kr": gain("KR[i][j]"), "m": "m" if law.shaped else "r", "aim": "s->m[j]" if law.shaped else "r[j]",
+        "Ka": f"            own += {gain('KA[i][j]')} * s->n[j];\n" * law.shaped, "shaping": C_SHAPING * law.shaped,
+        "shaping_state": C_SHAPING_STATE.substitute(name=name, NAME=NAME) * law.shaped,
         "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
     }  # fmt: skip
     return C_HEADER.substitute(words), C_SOURCE.substitute(words)
@@ -311,7 +324,7 @@ def _check_float(law: ScheduledPID) -> None:
     """Refuse numbers that single precision does not hold apart, or not at all."""
     mend = "export it with double precision"
     for table in tables(law):
-        limits = table.name in ("LOW", "HIGH", "RATE")
+        limits = table.name in ("LOW", "HIGH", "RATE", "SLEW")
         if not limits and np.abs(table.values).max() > NO_LIMIT_FLOAT:
             raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
         if table.name.startswith(("SPAN", "KNOTS")) and np.any(np.diff(np.float32(table.values)) <= 0.0):

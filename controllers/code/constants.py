@@ -34,6 +34,7 @@ def tables(law: ScheduledPID) -> list[Table]:
         _gains(law, "Ki", "integral gains", "/s"),
         _gains(law, "Kd", "derivative gains", " s"),
         _gains(law, "Kr", "feedforward of the set-points", ""),
+        *([_gains(law, "Ka", "feedforward of the reference models' rates", " s")] if law.shaped else []),
         _u0(law),
         Table("B", ("NY",), law.b, f"set-point weights of the proportional part: {outputs}"),
         Table("C", ("NY",), law.c, f"set-point weights of the derivative part: {outputs}"),
@@ -47,6 +48,19 @@ def tables(law: ScheduledPID) -> list[Table]:
             if isinstance(law.anti_windup, BackCalculation)
             else []
         ),
+        *(_shaping(law) if law.shaped else []),
+    ]
+
+
+def _shaping(law: ScheduledPID) -> list[Table]:
+    """What makes reference models and their rates of the set-points."""
+    rows = tuple(
+        f"{own}: {'none' if w == np.inf else f'{w:g} rad/s'}" for own, w in zip(law.references, law.bandwidth, strict=True)
+    )
+    model = "reference models: what m and its rate n are of the last m and n and of s"
+    return [
+        Table("SLEW", ("NY",), law.slew, f"largest rates of the set-points, per second: {channels(law, law.references)}"),
+        Table("MODEL", ("NY", "6"), law.reference_model, model, rows),
     ]
 
 

@@ -44,9 +44,9 @@ VAR
     warm : BOOL; (* there is a sample before this one *)
     takes_over : BOOL; (* the next command goes on from last *)
     z : ARRAY[1..$nu_u] OF LREAL; (* integral parts *)
-    f : ARRAY[1..$nu_y] OF LREAL; (* filtered derivatives of C r - y *)
-    d : ARRAY[1..$nu_y] OF LREAL; (* last C r - y *)
-    last : ARRAY[1..$nu_u] OF LREAL; (* last commands *)
+    f : ARRAY[1..$nu_y] OF LREAL; (* filtered derivatives of C $m - y *)
+    d : ARRAY[1..$nu_y] OF LREAL; (* last C $m - y *)
+$shaping_state    last : ARRAY[1..$nu_u] OF LREAL; (* last commands *)
     difference : LREAL;
     own : LREAL; (* the command without its integral part *)
     push : LREAL; (* what the error adds to the integral part *)
@@ -91,7 +91,7 @@ IF NOT valid THEN (* the sample is left out *)
 END_IF;
 
 FOR j := 1 TO NY DO
-    difference := C[j] * set_point[j] - measured[j];
+$shaping    difference := C[j] * $aim - measured[j];
     IF warm THEN
         f[j] := DECAY * f[j] + FRESH * (difference - d[j]);
     ELSE
@@ -104,10 +104,10 @@ FOR i := 1 TO NU DO
 $u0
     push := 0.0;
     FOR j := 1 TO NY DO
-$gains        own := own + $Kr * set_point[j];
-        own := own + $Kp * (B[j] * set_point[j] - measured[j]);
+$gains        own := own + $Kr * $aim;
+$Ka        own := own + $Kp * (B[j] * $aim - measured[j]);
         own := own + $Kd * f[j];
-        push := push + PERIOD * $Ki * (set_point[j] - measured[j]);
+        push := push + PERIOD * $Ki * ($aim - measured[j]);
     END_FOR;
     IF takes_over THEN
         z[i] := last[i] - own;
@@ -224,6 +224,35 @@ ST_GAINS = """\
             gain_r := gain_r + phi[k] * KR[i, j, k];
         END_FOR;
 """
+ST_GAIN_OF_RATES = """\
+        gain_a := 0.0;
+        FOR k := 1 TO TERMS DO
+            gain_a := gain_a + phi[k] * KA[i, j, k];
+        END_FOR;
+"""
+ST_SHAPING_STATE = """\
+    s : ARRAY[1..$ny] OF LREAL; (* set-points within their slew *)
+    m : ARRAY[1..$ny] OF LREAL; (* reference models *)
+    n : ARRAY[1..$ny] OF LREAL; (* their rates *)
+    before : LREAL;
+"""
+ST_SHAPING = """\
+    IF NOT warm THEN (* the reference models start from rest *)
+        s[j] := set_point[j];
+        m[j] := set_point[j];
+        n[j] := 0.0;
+    END_IF;
+    IF set_point[j] < s[j] - SLEW[j] * PERIOD THEN
+        s[j] := s[j] - SLEW[j] * PERIOD;
+    ELSIF set_point[j] > s[j] + SLEW[j] * PERIOD THEN
+        s[j] := s[j] + SLEW[j] * PERIOD;
+    ELSE
+        s[j] := set_point[j];
+    END_IF;
+    before := m[j];
+    m[j] := MODEL[j, 1] * before + MODEL[j, 2] * n[j] + MODEL[j, 3] * s[j];
+    n[j] := MODEL[j, 4] * before + MODEL[j, 5] * n[j] + MODEL[j, 6] * s[j];
+"""
 ST_BACK_CALCULATION = "    z[i] := z[i] + push + PERIOD / TRACKING[i] * (command[i] - v);"
 ST_CLAMPING = """\
     IF NOT ((v - command[i]) * push > 0.0) THEN
@@ -234,10 +263,12 @@ ST_CLAMPING = """\
 def st_code(law: ScheduledPID, name: str) -> str:
     """A FUNCTION_BLOCK of that name, all numbers LREAL."""
     scheduled, sizes = law.schedule is not None, table_sizes(law)
+    gains = (ST_GAINS + ST_GAIN_OF_RATES * law.shaped) * scheduled
+    named = {key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr", "Ka")}
     inputs = _st_schedules(law) if scheduled else []
     kind = f"ARRAY[1..{len(inputs)}] OF LREAL" if len(inputs) > 1 else "LREAL"
     weights = _st_scheduling(law) if scheduled else ""
-    counted = re.findall(r"\w+", weights + ST_GAINS * scheduled)  # a constant that nobody reads is refused by some compilers
+    counted = re.findall(r"\w+", weights + gains)  # a constant that nobody reads is refused by some compilers
     names = {"outputs": law.measured, "references": law.references, "inputs": law.actuated}
     words = {
         "name": name, "head": "\n".join(plain_comment(line) for line in head_lines(law)),
@@ -249,8 +280,10 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "locals": _st_locals(law, sizes) if scheduled else "",
         "weights": weights,
         "finite": " AND ".join(f"({own.schedule} - {own.schedule} = 0.0)" for own in inputs) or "TRUE",
-        "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": ST_GAINS * scheduled,
-        **{key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr")},
+        "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": gains, **named,
+        "Ka": f"        own := own + {named['Ka']} * n[j];\n" * law.shaped, "shaping": ST_SHAPING * law.shaped,
+        "shaping_state": Template(ST_SHAPING_STATE).substitute(ny=sizes["NY"]) * law.shaped,
+        "m": "m" if law.shaped else "r", "aim": "m[j]" if law.shaped else "set_point[j]",
         "integral": ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING,
     }  # fmt: skip
     return ST_BLOCK.substitute(words)
@@ -306,6 +339,7 @@ def _st_weights(basis: Basis) -> str:
 def _st_locals(law: ScheduledPID, sizes: dict[str, int]) -> str:
     """Variables that only a scheduled law has."""
     own = [name for name in ("share", "top", "total", "x") if re.search(rf"\b{name} :=", _st_scheduling(law))]
+    own += ["gain_a"] if law.shaped else []
     inputs = _st_schedules(law)
     rho = "".join(f"    {v.rho} : LREAL; (* {v.schedule} within SPAN *)\n" for v in inputs)
     if len(inputs) > 1:

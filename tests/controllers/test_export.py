@@ -81,6 +81,18 @@ LAWS = {
         anti_windup=Clamping(),
         **TWO,
     ),
+    "reference models over knots": drawn(
+        17,
+        2,
+        3,
+        KNOTS,
+        3,
+        slew=(0.7, np.inf, 2.0),
+        bandwidth=(9.0, 40.0, 3.0),
+        Ka=np.random.default_rng(17).normal(size=(3, 2, 3)),
+    ),
+    "slew alone, clamping": drawn(18, 1, 2, slew=(0.7, 1.1), anti_windup=Clamping()),
+    "a reference model of a fixed law": drawn(19, 2, 2, bandwidth=(9.0, np.inf), Ka=[[[0.3, 0.0], [-0.2, 0.0]]]),
     "no limits": drawn(13, 2, 3, low=(-np.inf,) * 2, high=(np.inf,) * 2, rate=(np.inf,) * 2),
 }
 
@@ -236,12 +248,28 @@ OF_SEVERAL = {
 }  # fmt: skip
 
 
+OF_A_REFERENCE_MODEL = {
+    "slew per sample": ("SLEW[j] * PERIOD", "SLEW[j]"), "one slew for all": ("SLEW[j]", "SLEW[0]"),
+    "the set-point itself": ("* s->s[j];", "* r[j];"), "one model for all": ("MODEL[j]", "MODEL[0]"),
+    "the new m for the last": ("MODEL[j][3] * m", "MODEL[j][3] * s->m[j]"), "entries exchanged": ("MODEL[j][1]", "MODEL[j][2]"),
+    "not from rest": ("s->cold ? r[j] : s->m[j]", "s->m[j]"), "slewed from nought": ("s->cold ? r[j] : s->s[j]", "s->s[j]"),
+    "no rate": ("own += at(KA[i][j], phi) * s->n[j];", ";"),
+    "feedforward of r": ("at(KR[i][j], phi) * s->m[j]", "at(KR[i][j], phi) * r[j]"),
+    "error from r": ("(s->m[j] - y[j])", "(r[j] - y[j])"), "weighted r": ("B[j] * s->m[j]", "B[j] * r[j]"),
+    "derivative of r": ("C[j] * s->m[j]", "C[j] * r[j]"),
+}  # fmt: skip
+OF_LAWS = {
+    "": (drawn(1, 2, 3, KNOTS, 3, span=(0.0118, 0.025)), MISTAKES),
+    " of several": (LAWS["grid of two"], OF_SEVERAL),
+    " of a reference model": (LAWS["reference models over knots"], OF_A_REFERENCE_MODEL),
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("mistake", [*MISTAKES, *(f"{key} of several" for key in OF_SEVERAL)])
-def test_a_mistake_would_be_seen(tmp_path, mistake):
-    law, (right, wrong) = drawn(1, 2, 3, KNOTS, 3, span=(0.0118, 0.025)), MISTAKES.get(mistake, ("", ""))
-    if mistake not in MISTAKES:
-        law, (right, wrong) = LAWS["grid of two"], OF_SEVERAL[mistake.removesuffix(" of several")]
+@pytest.mark.parametrize(("mistake", "of"), [(key, of) for of, (_, mistakes) in OF_LAWS.items() for key in mistakes])
+def test_a_mistake_would_be_seen(tmp_path, mistake, of):
+    law, mistakes = OF_LAWS[of]
+    right, wrong = mistakes[mistake]
 
     def change(text):
         assert right in text
@@ -403,13 +431,13 @@ def test_the_gain_tables_are_the_law_up_to_what_they_state(tmp_path, key):
     np.testing.assert_array_equal(numbers[:, :ns], at)
     axes = [np.unique(own) for own in at.T]  # the rows are their lattice, the last variable fastest
     np.testing.assert_array_equal(at, np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, ns))
-    found, span = dict.fromkeys(("Kp", "Ki", "Kd", "Kr", "u0"), 0.0), law.span.reshape(-1, 2)
+    found, span = dict.fromkeys(("Kp", "Ki", "Kd", "Kr", *("Ka",) * law.shaped, "u0"), 0.0), law.span.reshape(-1, 2)
     drawn_at = np.random.default_rng(1).uniform(
         span[:, 0] - 0.6 * np.ptp(span, axis=1), span[:, 1] + np.ptp(span, axis=1), (300, ns)
     )
     for rho in drawn_at:
         exact, column = law.gains_at(rho if ns > 1 else rho[0]), ns
-        for name, value in zip(found, exact, strict=True):
+        for name, value in ((name, getattr(exact, name)) for name in found):
             rows = np.array([row[name] for row in content["rows"]])
             lattice = rows.reshape(*map(len, axes), value.size)
             read = interpn(axes, lattice, np.clip(rho, [own[0] for own in axes], [own[-1] for own in axes]))[0]

@@ -54,6 +54,12 @@ def through(law, r, y, rho=None, state=None):
     return np.array(out)
 
 
+def shaped(law: ScheduledPID, **options) -> ScheduledPID:
+    """The law behind a slew limit and a reference model of the first set-point, a reference model of the second."""
+    Ka = np.array([[0.03, -0.01], [0.02, 0.05]]) * np.linspace(1.0, 2.0, len(law.Kp))[:, None, None]
+    return replace(law, **{"slew": (4.0, np.inf), "bandwidth": (6.0, 20.0), "Ka": Ka, **options})
+
+
 def signals(seed=1, n=200):
     random = np.random.default_rng(seed)
     return random.normal(size=(n, 2)), random.normal(size=(n, 2))
@@ -75,6 +81,52 @@ def test_the_law_is_its_equation():
         u = np.clip(u, (-2.0, -3.0), (3.0, 1.0))
         np.testing.assert_allclose(got[k], u, atol=1e-11)
         z = z + DT * KI @ (r[k] - y[k]) + DT / Tt * (u - v)
+
+
+def test_a_reference_model_is_its_equation():
+    """Slew written out sample by sample, the critically damped model by python-control, and what they change in the law's sum."""
+    r, y = signals()
+    r = np.repeat(r[::8], 8, axis=0)[: len(r)]  # steps
+    law, plain = shaped(full()), full()
+    s = r.copy()
+    for k in range(1, len(r)):
+        s[k, 0] = s[k - 1, 0] + np.clip(r[k, 0] - s[k - 1, 0], -4.0 * DT, 4.0 * DT)
+    assert np.ptp(np.diff(s[:, 0])) < 1.01 * np.ptp(np.clip(np.diff(r[:, 0]), -4.0 * DT, 4.0 * DT)) < np.ptp(np.diff(r[:, 0]))
+    m, rate = np.empty_like(s), np.empty_like(s)
+    for j, w in enumerate((6.0, 20.0)):
+        model = control.ss([[0.0, 1.0], [-w * w, -2 * w]], [[0.0], [w * w]], np.eye(2), 0.0)
+        held = np.append(s[1:, j], s[-1, j])  # each sample's set-point stands since the one before
+        found = control.forced_response(control.sample_system(model, DT), T=DT * np.arange(len(s)), U=held, X0=[s[0, j], 0.0])
+        m[:, j], rate[:, j] = found.outputs
+    expected = through(plain, m, y) + rate @ law.Ka[0].T
+    np.testing.assert_allclose(through(law, r, y), expected, atol=1e-11)
+    assert np.abs(expected - through(plain, r, y)).max() > 0.5
+
+
+def test_a_reference_model_begins_at_rest_and_ends_at_the_set_point():
+    law, steady = shaped(full()), full()
+    r, y = np.tile([3.0, -2.0], (400, 1)), np.tile([3.0, -2.0], (400, 1))
+    np.testing.assert_allclose(through(law, r, y), through(steady, r, y), atol=1e-12)  # as if it had stood there for ever
+    state = law.init(np.array([0.3, 0.4]))
+    np.testing.assert_allclose(through(law, r, y, state=state)[0], [0.3, 0.4])
+    r[10:] += 1.0
+    for k in range(400):
+        _, state = law.step(state, r[k], y[k])
+    np.testing.assert_allclose(state[-6:-2], [*r[-1], *r[-1]], atol=1e-9)  # s and m stand at r
+    np.testing.assert_allclose(state[-2:], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("bandwidth", [(6.0, 20.0), (6.0, np.inf)])
+def test_the_linear_system_has_the_reference_models(bandwidth):
+    r, y = signals(2)
+    law = shaped(full(), slew=np.inf, bandwidth=bandwidth, Ka=np.array([[[0.03, 0.0], [0.02, 0.0]]]))
+    linear, n = law.at(), int(np.isfinite(bandwidth).sum())
+    assert linear.nstates == 6 + 2 * n
+    start = np.concatenate([np.zeros(4), law.c * r[0] - y[0], r[0, :n], np.zeros(n)])
+    _, expected = control.forced_response(linear, T=DT * np.arange(len(r)), U=np.hstack([r, y]).T, X0=start)
+    np.testing.assert_allclose(through(law, r, y), expected.T + law.u0[0], atol=1e-11)
+    of_y = linear.frequency_response(np.array([1.0, 9.0])).complex[:, 2:]
+    np.testing.assert_allclose(of_y, full().at().frequency_response(np.array([1.0, 9.0])).complex[:, 2:], atol=1e-12)
 
 
 def test_without_limits_it_is_the_linear_system_of_python_control():
@@ -292,8 +344,9 @@ def test_clamping_holds_the_integral_only_while_it_pushes_outward():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("reference_model", [False, True])
 @pytest.mark.parametrize("anti_windup", [BackCalculation(), Clamping()])
-def test_the_compiled_law_commands_what_the_law_commands(anti_windup):
+def test_the_compiled_law_commands_what_the_law_commands(anti_windup, reference_model):
     _, u0 = WEB_WINDING.equilibrium()
     law = ScheduledPID(
         *NAMES, DT, Kp=np.array([[[0.01, 0.001], [0.0, -0.005]]] * 2) * [[[1.0]], [[1.5]]],
@@ -305,12 +358,13 @@ def test_the_compiled_law_commands_what_the_law_commands(anti_windup):
     n = 500
     speed = 100.0 + 25.0 * np.sign(np.sin(0.05 * np.arange(n)))
     scenario = Scenario("steps", {"w3_set": speed, "theta_set": np.zeros(n)}, seed=3)
+    law = shaped(law, slew=(200.0, np.inf), Ka=0.01 * law.Kr) if reference_model else law
     for bumpless in (False, True):
         run = simulate(WEB_WINDING, law, scenario, bumpless=bumpless).experiment
         r, y = run[["w3_set", "theta_set"]], run[["w3", "theta"]]
         start = law.init(u0[::-1]) if bumpless else law.init()
         np.testing.assert_allclose(run[["V2", "V1"]], through(law, r, y, run["r2"], start), atol=1e-12)
-        assert (run["V2"] == 2.6).any()
+        assert (run["V2"] == 2.6).any() or reference_model
         if bumpless:
             np.testing.assert_allclose(run[["V2", "V1"]][0], u0[::-1], atol=1e-14)
 

@@ -73,7 +73,7 @@ def test_the_gain_table_holds_the_gains_of_the_law(folder):
     assert "Ki_V1_theta [V/(deg)/s]" in rows[0]
     assert len(rows) == 2
     for row in rows:
-        Kp, Ki, Kd, Kr, u0 = law.gains_at(float(row["r2 [m]"]))
+        Kp, Ki, Kd, Kr, _, u0 = law.gains_at(float(row["r2 [m]"]))
         assert float(row["Kp_V2_w3 [V/(rad/s)]"]) == Kp[1, 0]
         assert float(row["Ki_V1_theta [V/(deg)/s]"]) == Ki[0, 1]
         assert float(row["Kd_V2_theta [V/(deg) s]"]) == Kd[1, 1]

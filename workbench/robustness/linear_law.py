@@ -22,7 +22,10 @@ class LinearLaw(Loop, Protocol):
     """A sampled law that is linear where the schedule stands still."""
 
     def at(self, rho: Any) -> Any:
-        """python-control system from (r, y) to u less its offset; its state keeps its meaning while the schedule moves."""
+        """python-control system from (r, y) to u less its offset; its state keeps its meaning while the schedule moves.
+
+        r are set-points within the law's `slew` (nr,) [1/s], where it has one.
+        """
         ...
 
     def offset(self, rho: Any) -> np.ndarray:
@@ -42,6 +45,20 @@ class LinearLaw(Loop, Protocol):
     def span(self) -> np.ndarray:
         """Between which the schedule changes the law, (2,), (ns, 2) of several variables; infinite without one."""
         ...
+
+
+def slews(law: Any) -> np.ndarray:
+    """Largest rates (nr,) of the set-points that a law lets through; infinite where it has none."""
+    return np.broadcast_to(np.asarray(getattr(law, "slew", np.inf), dtype=float), len(law.references))
+
+
+def slewed(law: Any, references: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Set-points (N, nr) within the slew of a law, from `before` (nr,) on: what its linear form is given."""
+    reach = slews(law) * law.dt
+    found, last = np.empty_like(references), before
+    for k, r in enumerate(references):
+        found[k] = last = np.maximum(last - reach, np.minimum(last + reach, r))
+    return found
 
 
 LINEAR = ("at", "offset", "low", "high", "rate", "span")
@@ -87,12 +104,13 @@ def without_linear_form(law: Any, values: Sequence[Any] = ()) -> str:
 
 
 def _unlimited(law: Any) -> Any:
-    """The law without limits, where it is a record that has them as numbers; else the law."""
+    """The law without limits and slew, where it is a record that has them as numbers; else the law."""
     if not is_dataclass(law) or not {"low", "high", "rate"} <= {f.name for f in fields(law) if f.init}:
         return law
     record: Any = law
     none = np.full(len(record.actuated), np.inf)
-    return replace(record, low=-none, high=none, rate=none)
+    free = {"slew": np.full(len(record.references), np.inf)} if hasattr(record, "slew") else {}
+    return replace(record, low=-none, high=none, rate=none, **free)
 
 
 def _apart(law: Any, rho: Any) -> str:

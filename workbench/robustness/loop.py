@@ -16,7 +16,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.records import field, record
 from workbench.robustness.envelopes.course import Course
-from workbench.robustness.linear_law import LinearLaw, check_law
+from workbench.robustness.linear_law import LinearLaw, check_law, slewed, slews
 from workbench.robustness.machine import Machine, machine_of, machines_along
 from workbench.robustness.rests import Rest
 from workbench.robustness.uncertain import UncertainLoop
@@ -52,10 +52,26 @@ class DrivenLoop:
         return replace(self, lam=np.where(self.moving, self.lam, 0.0))
 
     def undriven(self) -> UncertainLoop:
-        """Without what drives it, and without the parameters of regressors that do not move."""
-        moving = self.moving
-        names = tuple(name for name, moves in zip(self.parameters, moving, strict=True) if moves)
-        return UncertainLoop(self.A, self.B, self.C[moving], self.lam[moving], self.channel[moving], names, self.dt)
+        """Without what drives it, without the states that set-points alone move, which are stable and known and come to rest
+        whatever the loop does, and without the parameters of regressors that no other state moves (`fed_back`).
+        """
+        x, p = ~self.aside, self.fed_back
+        names = tuple(name for name, kept in zip(self.parameters, p, strict=True) if kept)
+        return UncertainLoop(self.A[np.ix_(x, x)], self.B[x], self.C[np.ix_(p, x)], self.lam[p], self.channel[p], names, self.dt)
+
+    @property
+    def fed_back(self) -> np.ndarray:
+        """Whether the regressor of each parameter (p) moves with what errors reach."""
+        return np.abs(self.C[:, ~self.aside]).max(axis=1, initial=0.0) > 0.0
+
+    @property
+    def aside(self) -> np.ndarray:
+        """Which states (n,) neither errors nor what these reach move, where those are stable: reference models of set-points."""
+        reached = self.B.any(axis=1)
+        while not np.array_equal(more := reached | self.A[:, reached].any(axis=1), reached):
+            reached = more
+        stable = np.abs(np.linalg.eigvals(self.A[np.ix_(~reached, ~reached)])).max(initial=0.0) < 1.0
+        return ~reached & stable
 
 
 def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = None) -> UncertainLoop:
@@ -162,13 +178,20 @@ def course_of(
     set-points under which the loop rests before the run, low and high; None: the first ones.
     """
     check_law(model, law)
+    ends = np.repeat(references[0][:, None], 2, axis=1) if initial is None else np.asarray(initial, dtype=float)
+    if limited := [
+        name for name, slew, (low, high) in zip(law.references, slews(law), ends, strict=True) if slew < np.inf and high > low
+    ]:
+        mend = f"give [run] initial of {limited[0]} one value, or a law without its slew"
+        raise InputError(f"{limited[0]} is slewed from a set-point that is known between two values only", mend=mend)
+    references = slewed(law, references, ends[:, 0])
     still = not np.ptp(rho, axis=0).any()
     values = rho[:1] if still else rho
     loops = []
     for machine, value in zip(machines_along(model, errors, values), values, strict=True):
         loop = driven(machine, law, value if law.schedule else None)
         loops.append(with_rates(loop if noise else loop.quiet(), rates))
-    return course(loops, references, initial)
+    return course(loops, references, ends)
 
 
 def interpolated(

@@ -128,7 +128,7 @@ def _stability(
         whole = driven(machine_with_errors(model, errors, rho), law, rho)
         loop = whole.undriven()
         # beyond the boxes themselves nothing is known of what the records leave open: there sequences within them refute
-        moving, constant = limits.moving or needed != 1.0, left.possible[:, whole.moving] if needed >= 1.0 else None
+        moving, constant = limits.moving or needed != 1.0, left.possible[:, whole.fed_back] if needed >= 1.0 else None
         try:
             own = margin(loop)
         except InputError as reason:

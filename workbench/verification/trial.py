@@ -16,7 +16,7 @@ from workbench.physics.plant import Plant
 from workbench.records import record
 from workbench.rehearsal import Rehearsal
 from workbench.robustness.frozen import closed_loop
-from workbench.robustness.linear_law import without_linear_form
+from workbench.robustness.linear_law import slews, without_linear_form
 from workbench.simulation import LeftRangeError, Scenario, simulate
 
 POINTS = 5  # schedule values at which loops are asked how slow they are
@@ -61,7 +61,7 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     rest[own], step[own] = _inside(law, rest[own], step[own])
-    settling = _settling(law, model)
+    settling = _settling(law, model, step[own])
     references = _path(rest, step, settling)
     N = len(references)
     if model.schedules and follows is None and N < ALONG:
@@ -93,7 +93,7 @@ def on_plant(law: Any, plant: Plant, model: LPVModel) -> Trial:
         j, (low, high) = law.measured.index(name), scheduled[name]
         inner = low + EDGE * (high - low), high - EDGE * (high - low)
         step[j] = max(inner, key=lambda end: abs(end - rest[j])) - rest[j]
-    settling, every = _settling(law, model), max(1, round(law.dt / plant.dt))
+    settling, every = _settling(law, model, step), max(1, round(law.dt / plant.dt))
     for share in (1.0,) if known else SHARES:
         path = np.repeat(_path(rest, share * step, settling), every, axis=0)
         if not (trial := along(law, plant, path, settling * every)).lost:
@@ -175,14 +175,15 @@ def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, n
     return rest, np.where(step <= up, step, np.where(step <= down, -step, np.where(up >= down, up, -down)))
 
 
-def _settling(law: Any, model: LPVModel) -> int:
-    """Samples in which the slowest frozen loop settles."""
+def _settling(law: Any, model: LPVModel, step: np.ndarray) -> int:
+    """Samples in which the slowest frozen loop settles after steps (nr,) of its set-points, which it may slew."""
     planned = not hasattr(law, "at")
     linear, slowest = getattr(law, "fallback", law), 0.0
     if not without_linear_form(linear):
         for rho in model.frozen_values(POINTS):
             slowest = max(slowest, float(np.abs(closed_loop(linear, model, rho).system.poles).max()))
     samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
+    samples += np.max(np.abs(step) / (slews(linear) * law.dt), initial=0.0)
     return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST))
 
 

@@ -1,5 +1,7 @@
 """The loop of a law and an LPV model whose errors are bounded: the predictor written out sample by sample, and its course."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,7 +112,15 @@ def test_the_frozen_loop_is_the_course_without_what_drives_it(known):
     assert not [name for name in loop.parameters if name.endswith(": 1")]  # a constant turns no pole
     machine = machine_with_errors(model, errors, 0.3)
     np.testing.assert_allclose(machine.A, next(machines_along(model, errors, np.array([0.3]))).A)
-    assert loop.A.shape == (4 + 2 * 2 + 3 * 2 + 6, 4 + 2 * 2 + 3 * 2 + 6)
+    u2 = 2  # samples of an input that nobody commands: nothing moves them
+    assert loop.A.shape == (4 + 2 * 2 + 3 * 2 - u2 + 6,) * 2
+    behind = replace(law, bandwidth=(3.0, 8.0), Ka=[[[0.1, 0.0], [0.2, -0.1]]])
+    whole = driven(machine_with_errors(model, errors, 0.3), behind)
+    assert len(whole.A) == len(loop.A) + u2 + 4
+    own = whole.undriven()  # reference models turn no pole either
+    for key in ("A", "B", "C", "lam", "channel"):
+        np.testing.assert_array_equal(getattr(own, key), getattr(loop, key))
+    assert own.parameters == loop.parameters
 
 
 def test_the_middle_of_the_boxes_corrects_the_model(known):

@@ -2,13 +2,15 @@
 
 Loops are drawn: one output of one input in ARX form, and LPV models with errors, several outputs and a schedule that moves; P, PI
 and PID laws with weights, filter and gains over the schedule; boxes around every coefficient, errors that no parameter explains;
-steps of the set-points, set-points before the run that are only known within an interval; commands with and without stops.
+steps of the set-points, slewed and behind reference models; set-points before the run that are only known within an interval;
+commands with and without stops.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
@@ -39,9 +41,9 @@ ROUNDED = 1e-7  # of the size of a signal: what two ways to compute a run may di
 
 @dataclass
 class Law:
-    """v = u0 + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f = a f- + (1 - a) ((c r - y) - (c r - y)-) / dt.
+    """v = u0 + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f = a f- + (1 - a) ((c m - y) - (c m - y)-) / dt.
 
-    Gains are g0 + g1 rho.
+    Gains are g0 + g1 rho. m follows the set-point within `slew` through a reference model of this bandwidth.
     """
 
     Kp: np.ndarray  # (2, nu, ny)
@@ -51,6 +53,9 @@ class Law:
     b: np.ndarray
     c: np.ndarray
     Tf: float
+    Ka: np.ndarray  # (2, nu, ny)
+    slew: np.ndarray  # (ny,)
+    bandwidth: np.ndarray
 
     def gains(self, rho):
         return [g[0] + rho * g[1] for g in (self.Kp, self.Ki, self.Kd, self.u0)]
@@ -59,16 +64,31 @@ class Law:
     def integrates(self):
         return bool(self.Ki.any())
 
+    def shaped(self, r, r0):
+        """m and its rate (N R ny) of set-points r (N ny) after r0 (R ny), by matrix exponentials."""
+        s, m, rate, found = r0, r0, np.zeros_like(r0), []
+        moved = []
+        for w in self.bandwidth:
+            whole = np.array([[0.0, 1.0, 0.0], [-w * w, -2.0 * w, w * w], [0.0, 0.0, 0.0]]) if np.isfinite(w) else None
+            moved.append(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]) if whole is None else expm(whole * DT)[:2])
+        for own in r:
+            s = np.clip(own, s - self.slew * DT, s + self.slew * DT)
+            m, rate = np.einsum("jim,mrj->irj", np.array(moved), np.array([m, rate, s]))
+            found.append((m, rate))
+        return np.array(found).swapaxes(0, 1)
+
     def made(self, outputs, inputs, scheduled) -> ScheduledPID:
         references = tuple(f"r{i}" for i in range(len(outputs)))
+        shaping = {"slew": self.slew, "bandwidth": self.bandwidth}
         if not scheduled:
-            return pid(
+            plain = pid(
                 inputs, outputs, references, DT, self.Kp[0], self.Ki[0], self.Kd[0], Tf=self.Tf, u0=self.u0[0], b=self.b, c=self.c
             )
+            return replace(plain, Ka=self.Ka[:1], **shaping)
         free = np.full(len(inputs), np.inf)
         return ScheduledPID(
             inputs, outputs, references, DT, self.Kp, self.Ki, self.Kd, 0.0 * self.Kp, self.u0, self.b, self.c, -free, free, free,
-            self.Tf, basis=AFFINE, schedule="rho", span=(0.0, 1.0),
+            self.Tf, basis=AFFINE, schedule="rho", span=(0.0, 1.0), Ka=self.Ka, **shaping,
         )  # fmt: skip
 
 
@@ -88,14 +108,15 @@ class Machine:
         Kp, Ki, _, u0 = self.law.gains(self.rho[0])
         z = u - u0 - (self.law.b * r0 - y) @ Kp.T if self.law.integrates else np.zeros_like(u)
         f, last, a = np.zeros_like(y), self.law.c * r0 - y, self.law.Tf / (self.law.Tf + DT)
-        seen = []
+        seen, (m, rate) = [], self.law.shaped(r, r0)
         for k in range(N):
             Kp, Ki, Kd, u0 = self.law.gains(self.rho[k])
             y = self.output(state, theta[:, k], k)
-            weighted = self.law.c * r[k] - y
+            weighted = self.law.c * m[k] - y
             f, last = a * f + (1.0 - a) * (weighted - last) / DT, weighted
-            u = u0 + (self.law.b * r[k] - y) @ Kp.T + z + f @ Kd.T
-            z = z + DT * (r[k] - y) @ Ki.T
+            u = u0 + rate[k] @ (self.law.Ka[0] + self.rho[k] * self.law.Ka[1]).T
+            u = u + (self.law.b * m[k] - y) @ Kp.T + z + f @ Kd.T
+            z = z + DT * (m[k] - y) @ Ki.T
             seen.append(np.hstack([y, u]))
             state = self.after(state, y, u, k)
         return np.stack(seen, axis=1)
@@ -209,7 +230,7 @@ def steps(random, ny) -> tuple[np.ndarray, np.ndarray]:
     return r, initial
 
 
-def drawn_law(random, ny, nu, gain, scheduled) -> Law:
+def drawn_law(random, ny, nu, gain, scheduled, slewed) -> Law:
     """A law that is calm for a machine with this steady gain (ny nu)."""
     kind, inverse = random.choice(["P", "PI", "PID"]), np.linalg.pinv(gain)
     slope = 0.3 * random.normal() if scheduled else 0.0
@@ -218,8 +239,10 @@ def drawn_law(random, ny, nu, gain, scheduled) -> Law:
     Kd = (kind == "PID") * random.uniform(0.0, 0.05) * inverse
     u0 = np.stack([random.normal(size=nu), slope * random.normal(size=nu)])
     b, c = random.choice([np.ones(ny), random.uniform(0, 1, ny)]), random.choice([np.zeros(ny), random.uniform(0, 1, ny)])
-    gains = (np.stack([g, slope * g]) for g in (Kp, Ki, Kd))
-    return Law(*gains, u0, b, c, random.choice([0.0, 0.15]))
+    Kp, Ki, Kd, Ka = (np.stack([g, slope * g]) for g in (Kp, Ki, Kd, 0.3 * random.normal() * inverse))
+    slew, bandwidth = (np.where(random.uniform(size=ny) < 0.4, random.uniform(1.0, 15.0, ny), np.inf) for _ in range(2))
+    slew = slew if slewed else np.full(ny, np.inf)
+    return Law(Kp, Ki, Kd, u0, b, c, random.choice([0.0, 0.15]), Ka * np.isfinite(bandwidth), slew, bandwidth)
 
 
 def drawn_regression(random) -> tuple:
@@ -234,19 +257,19 @@ def drawn_regression(random) -> tuple:
         random.uniform(0.1, 0.5) * share * abs(1.0 + a.sum()) * random.uniform(0, 1, order),
         share * np.abs(b) * random.uniform(0, 1, len(b)), [random.choice([0.0, 0.02]) * abs(b.sum())],
     ])  # fmt: skip
-    law = drawn_law(random, 1, 1, np.array([[gain]]), False)
+    law = drawn_law(random, 1, 1, np.array([[gain]]), False, False)
     own = arx_model("y0", ("u0",), ARX(order=order, delta=False, delay=delay), centre, radius)
     return Regression(law, order, delay, centre, radius), own, law
 
 
-def drawn_predicted(random) -> tuple:
+def drawn_predicted(random, slewed) -> tuple:
     size, n = int(random.integers(1, 3)), int(random.integers(1, 4))
     F = random.normal(size=(n, n))
     F *= random.uniform(0.3, 0.9) / np.abs(np.linalg.eigvals(F)).max()
     G, C, K = random.normal(size=(n, size)), random.normal(size=(size, n)), 0.1 * random.normal(size=(n, size))
     gain = C @ np.linalg.solve(np.eye(n) - F - K @ C, G)
     if np.linalg.cond(gain) > 20.0:
-        return drawn_predicted(random)
+        return drawn_predicted(random, slewed)
     moves = random.choice([0.0, 0.1])
     matrices = [np.stack([M, moves * random.normal(size=M.shape) * np.abs(M)]) for M in (F, G, K, C)]
     point = [np.stack([random.normal(size=size), 0.2 * random.normal(size=size)]) for _ in range(2)]
@@ -256,7 +279,7 @@ def drawn_predicted(random) -> tuple:
     centre = 0.3 * radius * random.normal(size=radius.shape)
     centre[:, -1] = 0.0
     scheduled = bool(random.uniform() < 0.6)
-    law = drawn_law(random, size, size, gain, scheduled)
+    law = drawn_law(random, size, size, gain, scheduled, slewed)
     ends = random.uniform(0.1, 0.9, 2)
     rho = np.linspace(*ends, N) if random.uniform() < 0.3 else np.full(N, ends[0])
     outputs, inputs = (tuple(f"{name}{i}" for i in range(size)) for name in "yu")
@@ -281,9 +304,13 @@ def drawn(seed) -> Drawn | None:
     """A loop; None for one without a rest in the middle, or that is lost there."""
     random = np.random.default_rng(seed)
     regression = random.uniform() < 0.5
-    machine, own, law = (drawn_regression if regression else drawn_predicted)(random)
+    # what a slew begins with must be known: set-points before the run in an interval are refused with it
+    slewed = random.uniform() < 0.5
+    machine, own, law = drawn_regression(random) if regression else drawn_predicted(random, slewed)
     ny = law.Kp.shape[2]
     r, initial = steps(random, ny)
+    if np.isfinite(law.slew).any():
+        initial = np.where(np.isfinite(law.slew)[:, None], initial.mean(axis=1, keepdims=True), initial)
     outputs, inputs = (tuple(f"{name}{i}" for i in range(ny)) for name in "yu")
     stopped = random.uniform() < 0.3
     try:
