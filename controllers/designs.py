@@ -27,8 +27,9 @@ from workbench.verification.trial import OVERSHOOT, Trial, tried
 Numbers = Mapping[str, float]
 Say = Callable[[str], None]
 
-WEIGHTS = (1.0, 0.7, 0.4, 0.0)  # of set-points, from brisk to calm
-ALIKE = 0.02  # of a step: overshoots that differ by less
+MODELS = 12  # bandwidths that reference models are tried with, each half as large as the one before
+LATER = 1.5  # times as late as the best, from where on slower ones are not tried
+ALIKE = 0.02, 1.1  # of a step, overshoots that differ by less; times to settle that differ by a factor of less
 
 
 @record
@@ -39,8 +40,9 @@ class ScheduledPIDDesign:
     values with gains of their own, their number or the values, of several schedule variables for all or for each (see
     `design_pid`); 1 is a fixed PID. low, high, rate [1/s]: limits of commands by input. setpoint: the usual one by output, which
     is held without the integral. filter [s]: of the derivative, default two samples. setpoint_weight: share of the set-point in
-    the proportional part. feedforward: whether a new set-point commands at once what holds it. What is not said of these two `on`
-    chooses, see `calmed`; margins are the same with all. robust_to: models that must be kept too.
+    the proportional part. feedforward: whether a new set-point commands at once what holds it. reference_model [rad/s]: bandwidth
+    of what a set-point goes through by output, infinite for nothing; where none is given `on` chooses, see `calmed`. slew [1/s]:
+    largest rate of a set-point by output. Margins are the same with all of these. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
         array([[0.32]])
@@ -56,26 +58,34 @@ class ScheduledPIDDesign:
     setpoint: Numbers = field(default_factory=dict)
     derivative: bool = True
     filter: float | None = None
-    setpoint_weight: float | None = None
-    feedforward: bool | None = None
+    setpoint_weight: float = 1.0
+    feedforward: bool = True
+    reference_model: Numbers = field(default_factory=dict)
+    slew: Numbers = field(default_factory=dict)
     robust_to: tuple[LPVModel, ...] = ()
 
     def __post_init__(self):
         if self.filter is not None and not 0.0 <= self.filter < np.inf:
             raise InputError(f"filter {self.filter:g}", mend="the time constant of the derivative's filter in s, 0 for none")
-        if self.setpoint_weight is not None and not 0.0 <= self.setpoint_weight <= 1.0:
+        if not 0.0 <= self.setpoint_weight <= 1.0:
             mend = "the share of the set-point in the proportional part, 0 to 1"
             raise InputError(f"setpoint_weight {self.setpoint_weight:g}", mend=mend)
+        for key, unit in (("reference_model", "a bandwidth in rad/s"), ("slew", "a largest rate per second")):
+            for name, value in getattr(self, key).items():
+                if not value > 0.0:
+                    raise InputError(f"{key} {value:g}", channel=name, mend=f"{unit} above 0, inf for none")
 
     def design(self, model: LPVModel, progress: Say = lambda _: None) -> PIDDesign:
-        """The controller with its margins at every schedule value, as brisk as its set-points may be; see `calmed`.
+        """The controller with its margins at every schedule value, before any reference model; see `calmed`.
 
         Raises InputError where none keeps the bounds.
         """
         _check_model(model)
         limits = command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model)
-        b, feedforward = self._answers_to_setpoints()[0]
-        structure = Structure(derivative=self.derivative, Tf=self.filter, b=b, feedforward=feedforward, **limits)
+        self._shaping(model)  # refuses outputs that the model does not have before any work
+        structure = Structure(
+            derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
+        )  # fmt: skip
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
         return design_pid(
             model, knots=self.knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
@@ -90,32 +100,52 @@ class ScheduledPIDDesign:
         return _handed_out(found.law, trial, accept)
 
     def calmed(self, found: PIDDesign, model: LPVModel, plant: Plant | None = None) -> tuple[PIDDesign, Trial]:
-        """The design with the briskest answer to set-points that overshoots none of its run by more than OVERSHOOT, else with the
-        one that overshoots least, of like ones the briskest; and that run. What is said of weight and feedforward stays.
+        """The design with reference models that let no set-point's step overshoot by more than OVERSHOOT and all outputs settle
+        soonest after it, of like ones the calmest; and the run of that. What is said of reference models stays.
 
-        A scheduled law gives its feedforward up at a stated usual set-point only: without it u0 holds that one alone while the
-        schedule moves.
+        Each set-point has its own, for each is stepped alone.
         """
-        usual = setpoint_of(self.setpoint, model)
-        held = model.operating_point.basis(np.asarray(found.knots)) @ model.operating_point.y if usual is None else usual
-        best = found, tried(found.law, model, plant, usual)
-        for b, feedforward in self._answers_to_setpoints()[1:]:
-            if not best[1].lost and best[1].overshoot <= OVERSHOOT:
-                break
-            if found.law.schedule is not None and usual is None and not feedforward and self.feedforward is not False:
-                continue
-            law = found.law.weighted(b, np.asarray(held), feedforward=feedforward)
-            trial = tried(law, model, plant, usual)
-            if not trial.lost and (best[1].lost or trial.overshoot < best[1].overshoot - ALIKE):
-                best = replace(found, law=law), trial
-        return best
+        usual, (given, slew) = setpoint_of(self.setpoint, model), self._shaping(model)
+        free, runs = np.isnan(given), []
 
-    def _answers_to_setpoints(self) -> list[tuple[float, bool]]:
-        """Weights and feedforward that may be taken, from brisk to calm."""
-        weights = WEIGHTS if self.setpoint_weight is None else (self.setpoint_weight,)
-        both = self.feedforward is None and self.setpoint_weight is None
-        forward = (True, False) if both else (self.feedforward is not False,)
-        return [(b, own) for own in forward for b in weights]
+        def run(bandwidth: np.ndarray) -> tuple[PIDDesign, Trial]:
+            own = replace(found, law=found.following(bandwidth, slew))
+            return own, tried(own.law, model, plant, usual)
+
+        for w in (np.inf, *(0.5**k / model.dt for k in range(MODELS))):
+            runs.append(run(np.where(free, w, given)))
+            if not free.any() or _slower(runs, free):
+                break
+        if not (kept := [own for own in runs if not own[1].lost]):
+            return runs[0]
+        at = np.array([_soonest([trial for _, trial in kept], j) if free[j] else 0 for j in range(len(free))])
+        if len(set(at[free])) <= 1:
+            return kept[int(at[free].max(initial=0))]
+        best = run(np.array([kept[i][0].law.bandwidth[j] for j, i in enumerate(at)]))
+        return best if not best[1].lost else kept[int(at[free].max())]
+
+    def _shaping(self, model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
+        """Bandwidths of the reference models (ny,), NaN where none is given, and slews (ny,)."""
+        given = (self.reference_model, np.nan), (self.slew, np.inf)
+        bandwidth, slew = (by_channel("output", own, model.outputs, model.name, none) for own, none in given)
+        return bandwidth, slew
+
+
+def _slower(runs: Sequence[tuple[PIDDesign, Trial]], free: np.ndarray) -> bool:
+    """Whether the last reference models only settle later than the best did, all of them."""
+    trials = [trial for _, trial in runs if not trial.lost]
+    if not trials or runs[-1][1].lost:
+        return False
+    best = np.array([np.where(own.beyond <= OVERSHOOT, own.settled, np.inf) for own in trials]).min(axis=0, initial=np.inf)
+    return bool(np.all(trials[-1].settled[free] > LATER * best[free]))
+
+
+def _soonest(trials: Sequence[Trial], j: int) -> int:
+    """Which of runs, from brisk to calm, set-point j is best answered by."""
+    beyond, settled = (np.array([getattr(own, key)[j] for own in trials]) for key in ("beyond", "settled"))
+    if not (good := beyond <= OVERSHOOT).any():
+        return int(np.flatnonzero(beyond <= beyond.min() + ALIKE[0])[0])
+    return int(np.flatnonzero(good & (settled <= ALIKE[1] * settled[good].min()))[-1])
 
 
 @record

@@ -9,6 +9,7 @@ Frozen margins say nothing about a schedule that moves fast; that is a matter of
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,12 @@ class FrozenPoint:
     def gain(self) -> np.ndarray:
         return np.real(self.response(np.zeros(1))[0])
 
+    @property
+    def slope(self) -> np.ndarray:
+        """dP/ds at s = 0, (ny, nu), z = 1 + s dt."""
+        I_A = np.eye(len(self.A)) - self.A
+        return -self.dt * (self.C @ np.linalg.solve(I_A, np.linalg.solve(I_A, self.B))) / self.scale[:, None]
+
     def poles(self, Kp: np.ndarray, Ki: np.ndarray, Kd: np.ndarray, Tf: float) -> np.ndarray:
         """Poles of the loop with these gains (nu, ny), for outputs in units of `scale`.
 
@@ -77,7 +84,8 @@ class PIDDesign:
     """A scheduled PID, its margins on the refined grid, and what each knot alone would reach.
 
     knots (n), of several schedule variables (n, ns). low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the
-    same of the law for that knot only. scale (ny): what the outputs were counted in.
+    same of the law for that knot only. scale (ny): what the outputs were counted in. Ka [s]: feedforward of the rates of
+    reference models, for when the law is given some.
 
         >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
         >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
@@ -91,6 +99,14 @@ class PIDDesign:
     low_frequency: np.ndarray = field("n")
     alone: np.ndarray = field("n")
     scale: np.ndarray = field("ny")
+    Ka: np.ndarray = field("m nu ny", unit="s")
+
+    def following(self, bandwidth: np.ndarray | float, slew: np.ndarray | float = np.inf) -> ScheduledPID:
+        """The law with reference models of this bandwidth (ny,) [rad/s], infinite for none, and slew limits (ny,) [1/s].
+
+        Margins are the same: they are before the loop.
+        """
+        return replace(self.law, bandwidth=bandwidth, slew=slew, Ka=self.Ka * np.isfinite(bandwidth))
 
 
 @record
@@ -159,7 +175,7 @@ def design_pid(
         if not bad.any():
             reached = plan.low_frequency(law)
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
-            return PIDDesign(law, bounds, margins, grid, reached, alone, plan.scale)
+            return PIDDesign(law, bounds, margins, grid, reached, alone, plan.scale, plan.rates(law.Kr))
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
         worst = plan.worst(margins, lines)
         rhos = np.unique(np.concatenate([rhos, checked[worst]]), axis=0)
@@ -331,6 +347,18 @@ class _Plan:
                 for j, entries in enumerate(allowed.T.astype(bool)):  # the inputs that set-point j may move
                     own[entries, j] = np.linalg.pinv(gain[:, entries])[:, j] / self.scale[j]
         return Kr, u + np.einsum("iuy,iy->iu", np.linalg.pinv(gains), held - y) - np.einsum("iuy,iy->iu", Kr, held)
+
+    def rates(self, Kr: np.ndarray) -> np.ndarray:
+        """Ka (m, nu, ny) at every knot: P(s) (Kr + Ka s) is P(0) Kr but for s^2, where entries may differ from 0 as near as they
+        allow.
+        """
+        allowed = np.ones(Kr.shape[1:]) if self.structure.allowed is None else np.asarray(self.structure.allowed)
+        Ka = np.zeros_like(Kr)
+        for rho, K, own in zip(self.grid, Kr, Ka, strict=True):
+            plant = self.frozen(self.model, rho, self.scale)
+            for j, entries in enumerate(allowed.T.astype(bool)):
+                own[entries, j] = -np.linalg.pinv(plant.gain[:, entries]) @ plant.slope @ K[:, j]
+        return Ka
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:
         """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""

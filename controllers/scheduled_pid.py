@@ -19,7 +19,6 @@ Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weig
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -233,19 +232,6 @@ class ScheduledPID:
     def response(self, omega: np.ndarray, rho: Any = None) -> np.ndarray:
         """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = m - y, all weights 1, without Kr and Ka."""
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
-
-    def weighted(self, b: np.ndarray | float, at: np.ndarray, *, feedforward: bool = True) -> "ScheduledPID":
-        """The law with set-point weights b (ny,), without Kr and Ka where feedforward is not wanted, that commands as before
-        at rest where r = y = at: (ny,), or (m, ny) with a row for each basis function.
-
-        Kp(rho) (b - 1) r and Kr(rho) r are commands that the integral would have to make up for, and that move with the schedule:
-        u0 takes them away at the usual set-point.
-        """
-        after = np.broadcast_to(np.asarray(b, dtype=float), self.b.shape)
-        lost = self.Kp * (self.b - after) + (0.0 if feedforward else self.Kr)
-        at = np.broadcast_to(at, (len(lost), len(after)))
-        kept = {} if feedforward else {"Kr": np.zeros_like(self.Kr), "Ka": np.zeros_like(self.Ka)}
-        return replace(self, b=after, u0=self.u0 + np.einsum("iuy,iy->iu", lost, at), **kept)
 
     # ---- files ----------------------------------------------------------------------------------------------------------
 

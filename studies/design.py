@@ -66,7 +66,7 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
         over = worst_margins(found.law, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
-    if said := _setpoints_said(options, found.law, trial):
+    if said := _setpoints_said(found.law, model, wanted, trial):
         say(said)
     _say_limits(found.law, model, say)
     _say_held(found.law, model, _setpoint(options.setpoint, model), say)
@@ -201,7 +201,8 @@ def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesig
     return ScheduledPIDDesign(
         options.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
-        filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=False if options.no_feedforward else None,
+        filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
+        reference_model=_given(options.reference_model), slew=_given(options.slew),
         robust_to=tuple(load_model(path) for path in options.robust_to),
     )  # fmt: skip
 
@@ -230,19 +231,19 @@ def _say_limits(law: Any, model: LPVModel, say: Say) -> None:
             say(f"  {c.name} has no limits: give --low, --high, --rate {c.name}=...")
 
 
-def _setpoints_said(options: Namespace, law: ScheduledPID, trial: Trial) -> str:
-    """What was chosen so that set-points do not overshoot, and what is left to do; empty where nothing was."""
-    over = trial.overshoot > OVERSHOOT
-    if options.setpoint_weight is not None:
-        return "set-points: without --setpoint-weight one is looked for that overshoots less" if over else ""
-    left = "; they still overshoot: ramp them" + ", or state --setpoint" * bool(
-        law.schedule and law.Kr.any() and not options.setpoint
-    )
-    left = left if over else ""
-    if law.b.min() == 1.0 and (options.no_feedforward or law.Kr.any()):
-        return f"set-points: no weight lets steps overshoot less{left}" if over else ""
-    weight = f"their weight is {law.b.min():g}" + ("" if law.Kr.any() or options.no_feedforward else ", without feedforward")
-    return f"set-points: {weight}, so that steps overshoot less; --setpoint-weight 1 is as brisk as the margins allow{left}"
+def _setpoints_said(law: ScheduledPID, model: LPVModel, wanted: ScheduledPIDDesign, trial: Trial) -> str:
+    """What set-points go through, and what is left to do; empty where that is nothing."""
+    told, chosen = [], []
+    for c, w, slew in zip(model.outputs, law.bandwidth.tolist(), law.slew.tolist(), strict=True):
+        ways = [f"a slew of {slew:.4g} {c.unit}/s"] * (slew < np.inf) + [f"a reference model of {w:.3g} rad/s"] * (w < np.inf)
+        told += [f"{c.name} through {' and '.join(ways)}"] * bool(ways)
+        chosen += [f"{c.name}=inf"] * (w < np.inf and c.name not in wanted.reference_model)
+    said = [f"set-points: {', '.join(told)}"] * bool(told)
+    said += [f"--reference-model {','.join(chosen)} is as brisk as the margins allow"] * bool(chosen)
+    if trial.overshoot > OVERSHOOT:
+        given = any(w < np.inf for w in wanted.reference_model.values())
+        said.append("steps still overshoot: " + ("a smaller --reference-model" if given else "limit their rate with --slew"))
+    return "; ".join(said)
 
 
 def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | None, say: Say) -> None:

@@ -2,7 +2,7 @@
 
 Laws are designed as a user would: records of the machine's plan, a model, then `design`. Nothing that a law does not measure is
 told to it but what its file holds; the nonlinear MPC's file holds the plant. All PIDs of a machine keep the same bounds; what
-those leave open, the set-point weight of a PID and the price that an MPC pays for moves, is chosen by `rehearsal` on the
+those leave open, the reference model of a PID and the price that an MPC pays for moves, is chosen by `rehearsal` on the
 identified model, by one rule for all. Outputs count there in units of their set-point steps, and so they do in the MPCs' weights;
 the nonlinear MPC pays the MPC's price.
 """
@@ -34,7 +34,7 @@ from workbench.simulation import Scenario
 Say = Callable[[str], None]
 
 REHEARSED = 1500  # samples
-WEIGHTS = (0.4, 0.7, 1.0)  # set-point weights of a PID, from calm to brisk
+SHARES = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, np.inf)  # of 1 / dt: reference models of a PID, from calm to brisk, and none
 PRICES = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4)  # of an MPC's moves
 
 
@@ -70,16 +70,17 @@ class Designed:
 class _Chosen:
     """Laws as they are chosen, one after the other."""
 
-    def __init__(self, usual: np.ndarray, rehearsals: Mapping[str, Rehearsal], progress: Say):
-        self.usual, self.rehearsals, self.progress = usual, rehearsals, progress  # usual (ny,): set-point
+    def __init__(self, rehearsals: Mapping[str, Rehearsal], progress: Say):
+        self.rehearsals, self.progress = rehearsals, progress
         self.laws: dict[str, object] = {}
         self.pids: dict[str, PIDDesign] = {}
         self.rehearsed: dict[str, dict[str, float]] = {}
         self.taken: dict[str, str] = {}
 
     def pid(self, name: str, found: PIDDesign, models: Sequence[str]) -> ScheduledPID:
-        """The law with each of the set-point weights."""
-        candidates = {f"b = {b:g}": found.law.weighted(b, self.usual) for b in WEIGHTS}
+        """The law with each of the reference models."""
+        speeds = [share / found.law.dt for share in SHARES]
+        candidates = {f"reference model {w:g} rad/s" if w < np.inf else "no reference model": found.following(w) for w in speeds}
         law = self._take(name, candidates, models)
         self.pids[name] = replace(found, law=law)
         return law
@@ -142,7 +143,7 @@ def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
     model = SSM(order=6 if quick else None).fit(_records(WINDING, ("prbs1", "rbs"), seed, roles))
     usual, size = np.array([SPEED, 0.0]), np.array([5.0, 5.0])  # rad/s, deg
     seen = rehearsal(model, usual, size, REHEARSED, seed)
-    chosen = _Chosen(usual, {model.name: seen}, progress)
+    chosen = _Chosen({model.name: seen}, progress)
     fallback: Any = None
     for name, knots in (("fixed PID", 1), ("scheduled PID", 3 if quick else 5)):
         progress(f"web-winding: designing the {name}")
@@ -219,7 +220,7 @@ def _design_robot(quick: bool, seed: int, progress: Say) -> Designed:
     nominal, heavy = models["nominal"], models["heavy"]
     size = np.array([0.6])  # m/s
     seen = {name: rehearsal(own, (0.0,), size, REHEARSED, seed) for name, own in models.items()}
-    chosen = _Chosen(np.zeros(1), seen, progress)
+    chosen = _Chosen(seen, progress)
     chosen.pid("PID", design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)), ["nominal"])
     robust = design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy])
     fallback = chosen.pid("robust PID", robust, list(models))

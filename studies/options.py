@@ -131,9 +131,19 @@ def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--setpoint-weight",
         type=float,
+        default=1.0,
         metavar="B",
-        help="share of the set-point in the proportional part, 0 to 1 (default: the largest that overshoots by a fifth at most)",
+        help="share of the set-point in the proportional part, 0 to 1 (default 1)",
     )
+    sub.add_argument(
+        "--reference-model",
+        action="append",
+        default=[],
+        metavar="Y=W,..",
+        help="bandwidth in rad/s of what its set-point goes through, inf: nothing (default: what settles soonest, and overshoots "
+        "by a fifth at most)",
+    )
+    sub.add_argument("--slew", action="append", default=[], metavar="Y=V,..", help="largest rate of its set-point, per second")
     sub.add_argument(
         "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"
     )

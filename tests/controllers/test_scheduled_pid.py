@@ -194,29 +194,6 @@ def test_at_a_frozen_schedule_it_is_the_fixed_law_there():
     np.testing.assert_allclose(through(law, r, y, np.full(60, 0.017)), through(fixed, r, y), atol=1e-12)
 
 
-def test_other_set_point_weights_command_the_same_at_rest():
-    law, at = scheduled(), np.array([3.0, -1.0])
-    other = law.weighted((0.2, 0.9), at)
-    np.testing.assert_array_equal(other.b, (0.2, 0.9))
-    r, y = at + 1.0, at - 0.5
-    for rho in (0.01, 0.017, 0.03):
-        same = [one.step(one.init(), at, at, rho)[0] for one in (law, other)]
-        np.testing.assert_allclose(same[0], same[1], atol=1e-12)
-        Kp = law.gains_at(rho).Kp
-        moved = [one.step(one.init(), r, y, rho)[0] for one in (law, other)]
-        np.testing.assert_allclose(moved[1] - moved[0], Kp @ ((np.array([0.2, 0.9]) - law.b) * (r - at)), atol=1e-12)
-
-
-def test_without_feedforward_the_command_at_rest_is_the_same_at_every_knot():
-    law = replace(scheduled(), Kr=0.3 + np.arange(4.0 * len(scheduled().Kp)).reshape(-1, 2, 2))
-    at = np.array([[3.0, -1.0], [2.0, 0.5], [1.0, 4.0]])[: len(law.Kp)]
-    other = law.weighted((0.2, 0.9), at, feedforward=False)
-    assert not other.Kr.any()
-    for rho, held in zip(law.basis.knots, at, strict=True):
-        same = [one.step(one.init(), held, held, rho)[0] for one in (law, other)]
-        np.testing.assert_allclose(same[0], same[1], atol=1e-12)
-
-
 # ---- bumps ---------------------------------------------------------------------------------------------------------------
 
 

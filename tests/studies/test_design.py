@@ -9,6 +9,7 @@ import control
 import numpy as np
 import pytest
 
+from controllers.designs import ScheduledPIDDesign
 from controllers.files import load_controller, save_controller
 from controllers.pictures import _step
 from controllers.pid import pid
@@ -393,23 +394,24 @@ def test_knots_belong_to_a_scheduled_law(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("weight", "none", "b", "Kr", "over", "said"),
+    ("models", "slew", "given", "over", "said"),
     [
-        (None, False, 1.0, 2.0, 0.1, ""),
-        (0.5, False, 0.5, 2.0, 0.1, ""),
-        (0.5, False, 0.5, 2.0, 0.9, "set-points: without --setpoint-weight one"),
-        (None, False, 1.0, 2.0, 0.9, "set-points: no weight lets steps overshoot less; they still overshoot: ramp them"),
-        (None, True, 1.0, 0.0, 0.1, ""),
-        (None, False, 0.4, 2.0, 0.1, "set-points: their weight is 0.4, so that"),
-        (None, False, 0.0, 0.0, 0.3, "set-points: their weight is 0, without feedforward, so that"),
-        (None, True, 0.0, 0.0, 0.3, "set-points: their weight is 0, so that"),
+        ((np.inf, np.inf), np.inf, {}, 0.1, ""),
+        ((np.inf, np.inf), np.inf, {}, 0.3, "steps still overshoot: limit their rate with --slew"),
+        (
+            (8.0, np.inf), np.inf, {}, 0.1,
+            "set-points: y1 through a reference model of 8 rad/s; --reference-model y1=inf is as brisk as the margins allow",
+        ),
+        ((8.0, np.inf), np.inf, {"y1": 8.0}, 0.1, "set-points: y1 through a reference model of 8 rad/s"),
+        (
+            (8.0, 4.0), 2.0, {"y1": 8.0, "y2": 4.0}, 0.3,
+            "set-points: y1 through a slew of 2 m/s and a reference model of 8 rad/s, y2 through a slew of 2 rad/s and a "
+            "reference model of 4 rad/s; steps still overshoot: a smaller --reference-model",
+        ),
     ],
-)
-def test_what_was_chosen_for_set_points_is_said(weight, none, b, Kr, over, said):
-    options = SimpleNamespace(setpoint_weight=weight, no_feedforward=none, setpoint=[])
-    law = SimpleNamespace(b=np.array([b]), Kr=np.array([[[Kr]]]), schedule="r2")
-    sentence = _setpoints_said(options, law, Trial("", "", "", over))
-    assert sentence.startswith(said)
-    assert bool(sentence) is bool(said)
-    assert ("ramp them" in sentence) is bool(said and over > 0.2 and weight is None)
-    assert ("state --setpoint" in sentence) is bool("ramp them" in sentence and Kr)
+)  # fmt: skip
+def test_what_set_points_go_through_is_said(models, slew, given, over, said):
+    model = SimpleNamespace(outputs=(Channel("y1", "m", "output"), Channel("y2", "rad", "output")))
+    law = SimpleNamespace(bandwidth=np.array(models), slew=np.full(2, slew))
+    wanted, trial = ScheduledPIDDesign(reference_model=given), Trial("", "", "", [over, 0.0], [1.0, 1.0])
+    assert _setpoints_said(law, model, wanted, trial) == said

@@ -13,7 +13,7 @@ import numpy as np
 from workbench.lpv import LPVModel, ends
 from workbench.physics.controller import schedules_of
 from workbench.physics.plant import Plant
-from workbench.records import record
+from workbench.records import field, record
 from workbench.rehearsal import Rehearsal
 from workbench.robustness.frozen import closed_loop
 from workbench.robustness.linear_law import slews, without_linear_form
@@ -28,6 +28,7 @@ SHARE = 0.5  # of the room that limits leave, for a step; of a step, from where 
 ALONG = 1000  # samples at least along a schedule that moves on its own
 EDGE = 0.1  # of a schedule's span that steps stay within
 OVERSHOOT = 0.2  # of a step, from where on it is said
+BAND = 0.05  # of its step within which an output has settled
 FAR = 1e3  # steps, beyond which a run on a linear model is lost
 SAME = 0.1  # of the span within which an output of the operating point is the schedule
 
@@ -36,13 +37,20 @@ SAME = 0.1  # of the span within which an output of the operating point is the s
 class Trial:
     """What one run said: where it ran, and why it was lost, "" where it was not.
 
-    overshoot: the largest of an output beyond a set-point, as a share of the step.
+    beyond (nr): by set-point how far its output goes beyond it, as a share of the step. settled (nr) [s]: by set-point how long
+    after a step of it some output is still further than BAND of its own step from where it is wanted.
     """
 
     where: str
     lost: str
     sentence: str
-    overshoot: float = 0.0
+    beyond: np.ndarray = field("nr", default=())
+    settled: np.ndarray = field("nr", unit="s", default=())
+
+    @property
+    def overshoot(self) -> float:
+        """The largest of an output beyond its set-point, as a share of the step."""
+        return float(self.beyond.max(initial=0.0))
 
 
 def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None) -> Trial:
@@ -192,11 +200,18 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     size = np.abs(r - y[0]).max(axis=0)
     changes = np.flatnonzero(np.any(np.diff(r, axis=0) != 0.0, axis=1)) + 1
     stays = [(int(a), int(b)) for a, b in zip((0, *changes), (*changes, len(r)), strict=True) if b - a >= settling]
-    over = np.zeros(len(size))
+    over, settled = np.zeros(len(size)), np.zeros(len(size))
+    kicks = np.zeros((len(size), len(size)))  # of each output by steps of each set-point
     for begun, end in stays:
         moved = r[begun] - r[begun - 1] if begun else np.zeros(len(size))
         beyond = (np.sign(moved) * (y[begun:end] - r[begun])).max(axis=0)
         over = np.where(moved != 0.0, np.maximum(over, beyond / np.maximum(np.abs(moved), 1e-300)), over)
+        away = np.abs(y[begun:end] - r[begun])
+        kicks[np.ix_(moved == 0.0, moved != 0.0)] = np.maximum(
+            kicks[np.ix_(moved == 0.0, moved != 0.0)], away.max(axis=0)[moved == 0.0, None]
+        )
+        still = np.flatnonzero((away > BAND * size).any(axis=1))
+        settled = np.where(moved != 0.0, np.maximum(settled, dt * (still[-1] + 1 if len(still) else 0)), settled)
         last = slice(end - max(1, settling // 5), end)
         off = np.sqrt(np.mean((r[last] - y[last]) ** 2, axis=0))
         for name, unit, error, step in zip(law.measured, units, off, size, strict=False):
@@ -208,7 +223,11 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in each)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
     far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in each if share > OVERSHOOT]
-    return Trial(where, "", said + "".join(f"; {own}" for own in far), float(over.max(initial=0.0)))
+    for (name, unit, *_), own, whole in zip(each, kicks, size, strict=True):
+        if own.max(initial=0.0) > OVERSHOOT * whole > 0.0:
+            by = f"a step of {law.measured[int(own.argmax())]} moves {name}"
+            far.append(f"{by} by up to {own.max():.3g} {unit}".rstrip())
+    return Trial(where, "", said + "".join(f"; {own}" for own in far), over, settled)
 
 
 def _lost(where: str, why: str) -> Trial:
