@@ -20,6 +20,7 @@ from workbench.diagnosis.answer import (
 from workbench.diagnosis.equations import Law, instead, one_instead
 from workbench.diagnosis.experiments import Template, deciding
 from workbench.diagnosis.findings import Found, strongest_of
+from workbench.diagnosis.lags import Other
 from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, LAWS, LEFT_OVER, ONE_STEP, TIE, WIDE
 from workbench.diagnosis.referee import Judge, harms
 from workbench.diagnosis.refit import Model
@@ -234,16 +235,17 @@ def said_against(law: Law) -> str:
     return f"{law}: {'that explains these records better' if law.gap < -TIE else 'these records do not tell the two apart'}"
 
 
-def _spanning(sizes: dict[str, Estimate], others: Sequence[float]) -> dict[str, Estimate]:
-    """Sizes whose first, a time, has an interval that holds the other times too."""
+def _spanning(sizes: dict[str, Estimate], others: Sequence[Other]) -> dict[str, Estimate]:
+    """Sizes whose first, a time, has an interval that holds those of the other times too."""
     name, found = next(iter(sizes.items()))
-    return sizes | {name: replace(found, low=min(found.low, *others), high=max(found.high, *others))} if others else sizes
+    low, high = (end(getattr(own, side) for own in (found, *others)) for end, side in ((min, "low"), (max, "high")))
+    return sizes | {name: replace(found, low=low, high=high)}
 
 
 def exchanges(steps: Sequence[Step]) -> list[str]:
     """A sentence for every time that may have changed places with a time constant of the machine."""
     return [
-        f"{s.key}: {' or '.join(f'{other:.3g} s' for other in s.others)} explains these records as well, with other parameters "
+        f"{s.key}: {' or '.join(f'{o.time:.3g} s' for o in s.others)} explains these records as well, with other parameters "
         "of the machine: its time and the machine's can change places, and only a parameter that is known better decides"
         for s in steps
         if s.others

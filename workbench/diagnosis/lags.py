@@ -8,6 +8,7 @@ the wrong order, and a fit that has arrived there does not cross the ridge betwe
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +26,22 @@ SHORTEST, LONGEST, RATIO = 0.5, 32.0, np.sqrt(2.0)  # times in samples that are 
 BEST, MINIMA = 3, 2  # of the times that are held, fitted further; minima whose times are released
 STEP = 1e-3  # standard deviations of a parameter, for differences
 SAME = 10.0  # deviance within which two times are told apart by nothing
-INTERVAL = 1.96  # standard deviations of their difference within which a time constant of the machine is not told from a time
+INTERVAL = 1.96  # standard deviations of a time, or of its difference to a time constant, within which two are not told apart
+ALIKE = 0.05  # of a time, within which another minimum is the same one
 SHARE = 0.9  # of its gain that a solution far from the data sheet must not lose to one that keeps it
+
+
+class Other(NamedTuple):
+    """A time that suits the records as well, and the interval about it."""
+
+    time: float
+    low: float
+    high: float
+
+    @classmethod
+    def about(cls, time: float, deviation: float) -> "Other":
+        """The interval of a time with this standard deviation."""
+        return cls(time, time - INTERVAL * deviation, time + INTERVAL * deviation)
 
 
 @record
@@ -34,7 +49,7 @@ class Timed:
     """A model with the time that suits records and data sheet best, and other times that suit them as well."""
 
     model: Model
-    others: tuple[float, ...] = ()
+    others: tuple["Other", ...] = ()
 
 
 def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
@@ -50,15 +65,14 @@ def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
     inside = [m for m in minima if m.farthest <= FAR and before.deviance - m.deviance > SHARE * (before.deviance - best.deviance)]
     if best.farthest > FAR and inside:
         best = min(inside, key=lambda m: m.posterior)
-    told = [_time(best, key)]
+    told = [best]
     for m in minima:
-        time = _time(m, key)
-        if time > 0.0 and m.posterior - best.posterior < SAME and all(_apart(time, other) for other in told):
-            told.append(time)
-    return Timed(best, (*told[1:], *_met(best, key)))
+        if _time(m, key) > 0.0 and m.posterior - best.posterior < SAME and all(_apart(m, other, key) for other in told):
+            told.append(m)
+    return Timed(best, (*(Other.about(_time(m, key), _deviation(m, key)) for m in told[1:]), *_met(best, key)))
 
 
-def _met(model: Model, key: str) -> list[float]:
+def _met(model: Model, key: str) -> list[Other]:
     """Time constants of the machine from which the records do not tell the time: there the two minima have become one.
 
     The two give way to each other: what is known is their difference, with T = T(theta) linearised.
@@ -75,14 +89,17 @@ def _met(model: Model, key: str) -> list[float]:
         slope = np.zeros(model.fit.unknowns.size)
         slope[:n] = [(m[j] - T) / STEP for m in moved]
         slope[at] = -1.0
-        if abs(T - time) < INTERVAL * float(np.sqrt(slope @ model.fit.covariance @ slope)):
-            found.append(T)
+        deviation = float(np.sqrt(slope @ model.fit.covariance @ slope))
+        if abs(T - time) < INTERVAL * deviation:
+            found.append(Other(T, T, T))
     return found
 
 
-def _apart(one: float, other: float) -> bool:
-    """Whether two times differ by more than the ratio of those that are held; 0 is none."""
-    return min(one, other) <= 0.0 or abs(np.log(one / other)) > np.log(RATIO)
+def _apart(one: Model, other: Model, key: str) -> bool:
+    """Whether the time of neither is within the interval that the other states, nor all but the same."""
+    first, second = _time(one, key), _time(other, key)
+    spread = INTERVAL * max(_deviation(one, key), _deviation(other, key))
+    return abs(first - second) > max(spread, ALIKE * max(first, second))
 
 
 def shifts(plant: Plant, key: str) -> bool:
@@ -189,6 +206,12 @@ def _place(unknowns: Unknowns, key: str) -> slice:
 
 def _time(model: Model, key: str) -> float:
     return float(model.fit.z[_place(model.fit.unknowns, key).start])
+
+
+def _deviation(model: Model, key: str) -> float:
+    """Standard deviation of the time."""
+    at = _place(model.fit.unknowns, key).start
+    return float(np.sqrt(model.fit.covariance[at, at]))
 
 
 def _time_constants(model: Model, by: np.ndarray | float = 0.0) -> list[float]:

@@ -12,7 +12,7 @@ from workbench.diagnosis.answer import ROUNDED
 from workbench.diagnosis.confirm import folds, left_out, stability
 from workbench.diagnosis.detection import holding
 from workbench.diagnosis.gains import ahead
-from workbench.diagnosis.lags import timed
+from workbench.diagnosis.lags import Other, timed
 from workbench.diagnosis.policy import (
     ALIKE,
     ALPHA,
@@ -69,7 +69,7 @@ class Step:
     gain: float
     stable: float
     rival: Rival | None = None  # the closest one that ties
-    others: tuple[float, ...] = ()
+    others: tuple[Other, ...] = ()
     pairs: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -244,7 +244,7 @@ class _Race:
 
     def __init__(self, model: Model, short: Sequence[Score], sizes: np.ndarray):
         self.model, self.short, self.sizes = model, short, sizes
-        self.others: dict[str, tuple[float, ...]] = {}
+        self.others: dict[str, tuple[Other, ...]] = {}
         self.trials = refits(model, short, sizes)
         self.first = self.final(*self.trials[0])
         # what looks alike must not differ by the way that its noise levels went: all begin where the first one ended, too
@@ -446,11 +446,19 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         if not rivals or not (less := lesser.of(model, step.key)).sound:
             continue
         others = steps[:j] + steps[j + 1 :]
-        found = screen_effects(less, rivals, sizes)
+        found = screen_effects(less, [*rivals, step.key], sizes)
         trials = refits(less, found, sizes) if found else []
         # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike
         near = [(m, s) for m, s in trials if m.bic < trials[0][0].bic + SWAP and m.bic < 0.5 * (less.bic + model.bic)]
         tried = [(timed(less, settled(m, sizes, model), s.key, sizes), s) for m, s in near]
+        # the cause stands where it was found: it begins anew as its rivals do, and where the best of them has come to
+        anew = [t for t, s in tried if s.key == step.key]
+        tried = [(t, s) for t, s in tried if s.key != step.key]
+        if tried and min(t.model.bic for t, _ in tried) < model.bic:
+            rival = min((t.model for t, _ in tried), key=lambda m: m.bic)
+            anew.append(timed(less, settled(model, sizes, rival), step.key, sizes))
+        if anew and (best := min(anew, key=lambda t: t.model.bic)).model.bic < model.bic:
+            model, step = best.model, replace(step, others=best.others)
         times = {s.key: t.others for t, s in tried} | {step.key: step.others}
         alike = _alike_stepped(best_first([(model, step.score), *((t.model, s) for t, s in tried)]), sizes)
         model = next(m for m, s in alike if s is step.score)

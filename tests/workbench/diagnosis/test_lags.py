@@ -68,6 +68,21 @@ def test_a_lag_that_meets_a_time_constant_of_the_machine_is_told_to_be_exchangea
     assert any("change places" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("lag", "seed"), [(0.15, 12), (0.15, 16), (0.165, 14)])
+def test_two_orders_whose_times_are_near_to_each_other_are_both_told(lag, seed):
+    """150 ms behind 130 ms or the other way round: one of the two was named with an interval that left the other out."""
+    parameters = {"m1": 0.894, "m2": 2.052, "c": 4.54, "b1": 0.326, "b2": 0.353}
+    made = (
+        robot_records(s, {"sensor-lag@v": {"time": lag}}, samples=1500, records=1, parameters=parameters)
+        for s in (seed, seed + 1)
+    )
+    found = diagnose(ROBOT, *made)
+    time = lag_of(found)
+    assert time.low < 0.135
+    assert 0.98 * lag < time.high < 1.15 * lag
+    assert any("change places" in note for note in found.notes)
+
+
 def test_the_lag_of_the_robot_is_found_where_recalibration_has_bent_a_mass():
     def drawn(seed):
         u = np.random.default_rng(seed).uniform(-0.8, 0.8, len(ROBOT.parameters))
