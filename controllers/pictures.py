@@ -52,9 +52,10 @@ def design_pictures(
         for panel, key in peaks.items()
     }  # fmt: skip
     gains = {line: [own.gains_at(value) for value in rho] for line, (own, rho) in lines.items()}
+    kinds = [kind for kind in Gains._fields[:-1] if kind != "Ka" or any(own.shaped for own in laws.values())]
     surfaces = {
-        f"{kind}, {u.name} from {y.name}": {own: np.array([g[k][i, j] for g in each]) for own, each in gains.items()}
-        for k, kind in enumerate(Gains._fields[:-1])
+        f"{kind}, {u.name} from {y.name}": {own: np.array([getattr(g, kind)[i, j] for g in each]) for own, each in gains.items()}
+        for kind in kinds
         for i, u in enumerate(model.inputs)
         for j, y in enumerate(model.outputs)
     }

@@ -222,6 +222,8 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     each = list(zip(law.measured, units, size, r[0], over, strict=False))
     steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in each)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
+    took = ", ".join(f"{own:.3g} s ({name})" for name, own in zip(law.measured, settled, strict=False) if own > 0.0)
+    said += f"; settled to {BAND:.0%} in {took}" * bool(took)
     far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in each if share > OVERSHOOT]
     for (name, unit, *_), own, whole in zip(each, kicks, size, strict=True):
         if own.max(initial=0.0) > OVERSHOOT * whole > 0.0:
