@@ -22,12 +22,16 @@ from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.frozen import Bounds
-from workbench.verification.trial import OVERSHOOT, Trial, tried
+from workbench.verification.trial import BAND, LONGEST, OVERSHOOT, SETTLED, Trial, tried
 
 Numbers = Mapping[str, float]
 Say = Callable[[str], None]
 
 MODELS = 12  # bandwidths that reference models are tried with, each half as large as the one before
+SLOWEST = 10.0 / LONGEST  # of 1 / dt: what has settled well before a run ends
+FROZEN, POINTS = 5, 1000  # schedule values at which they are; samples of a step that are looked at
+SLOWER = 4  # runs at most, each with reference models half as fast where the one before overshoots
+MOVED = 1.0 + 1e-6  # times what the set-point itself would move a command by, that a reference model may
 LATER = 1.5  # times as late as the best, from where on slower ones are not tried
 ALIKE = 0.02, 1.1  # of a step, overshoots that differ by less; times to settle that differ by a factor of less
 
@@ -100,29 +104,44 @@ class ScheduledPIDDesign:
         return _handed_out(found.law, trial, accept)
 
     def calmed(self, found: PIDDesign, model: LPVModel, plant: Plant | None = None) -> tuple[PIDDesign, Trial]:
-        """The design with reference models that let no set-point's step overshoot by more than OVERSHOOT and all outputs settle
-        soonest after it, of like ones the calmest; and the run of that. What is said of reference models stays.
+        """The design with reference models, and one run of it: of those with which no step of a set-point overshoots by more than
+        OVERSHOOT the ones after which all outputs settle soonest, of like ones the calmest. What is said of them stays.
 
-        Each set-point has its own, for each is stepped alone.
+        Chosen on the frozen loops, for each set-point on its own, of those that command no more than the set-point itself would.
+        Where the run overshoots nevertheless, with limits and a moving schedule, slower ones are tried; none is so slow that a
+        run could not wait for it.
         """
         usual, (given, slew) = setpoint_of(self.setpoint, model), self._shaping(model)
-        free, runs = np.isnan(given), []
+        free = np.isnan(given)
 
         def run(bandwidth: np.ndarray) -> tuple[PIDDesign, Trial]:
             own = replace(found, law=found.following(bandwidth, slew))
             return own, tried(own.law, model, plant, usual)
 
-        for w in (np.inf, *(0.5**k / model.dt for k in range(MODELS))):
-            runs.append(run(np.where(free, w, given)))
-            if not free.any() or _slower(runs, free):
+        bandwidth = np.where(free, self._settling_soonest(found, model, given) if free.any() else given, given)
+        runs = [run(bandwidth)]
+        while len(runs) < SLOWER and free.any() and _overshoots(runs[-1][1]).any():
+            late = free & (_overshoots(runs[-1][1]) | bool(runs[-1][1].lost))
+            slower = np.where(late, np.maximum(0.5 * np.minimum(bandwidth * model.dt, 1.0), SLOWEST) / model.dt, bandwidth)
+            if np.any(model.D) or np.array_equal(slower, bandwidth):
                 break
-        if not (kept := [own for own in runs if not own[1].lost]):
-            return runs[0]
-        at = np.array([_soonest([trial for _, trial in kept], j) if free[j] else 0 for j in range(len(free))])
-        if len(set(at[free])) <= 1:
-            return kept[int(at[free].max(initial=0))]
-        best = run(np.array([kept[i][0].law.bandwidth[j] for j, i in enumerate(at)]))
-        return best if not best[1].lost else kept[int(at[free].max())]
+            bandwidth = slower
+            runs.append(run(bandwidth))
+        kept = [own for own in runs if not own[1].lost] or runs[:1]
+        least = min(own[1].overshoot for own in kept)
+        return next(own for own in kept if own[1].overshoot <= max(OVERSHOOT, least + ALIKE[0]))
+
+    def _settling_soonest(self, found: PIDDesign, model: LPVModel, given: np.ndarray) -> np.ndarray:
+        """Bandwidths (ny,) of the reference models, chosen on the frozen loops."""
+        bandwidths, answers = [np.inf, *(0.5**k / model.dt for k in range(MODELS) if 0.5**k >= SLOWEST)], []
+        for w in bandwidths:
+            answers.append(_answered(found.following(np.where(np.isnan(given), w, given)), model, found.scale))
+            beyond, settled, moved = (np.array(own) for own in zip(*answers, strict=True))
+            calm = np.all(moved <= MOVED * moved[0], axis=2)  # by set-point, of every command
+            good = np.where((beyond <= OVERSHOOT) & calm, settled, np.inf)
+            if np.all(settled[-1] > LATER * good.min(axis=0)):  # slower ones only settle later
+                break
+        return np.array([bandwidths[_soonest(*own)] for own in zip(beyond.T, good.T, strict=True)])
 
     def _shaping(self, model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
         """Bandwidths of the reference models (ny,), NaN where none is given, and slews (ny,)."""
@@ -131,21 +150,46 @@ class ScheduledPIDDesign:
         return bandwidth, slew
 
 
-def _slower(runs: Sequence[tuple[PIDDesign, Trial]], free: np.ndarray) -> bool:
-    """Whether the last reference models only settle later than the best did, all of them."""
-    trials = [trial for _, trial in runs if not trial.lost]
-    if not trials or runs[-1][1].lost:
-        return False
-    best = np.array([np.where(own.beyond <= OVERSHOOT, own.settled, np.inf) for own in trials]).min(axis=0, initial=np.inf)
-    return bool(np.all(trials[-1].settled[free] > LATER * best[free]))
+def _answered(law: ScheduledPID, model: LPVModel, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The worst of the frozen loops after steps of each set-point, outputs in units of `scale` (ny,): how far its output goes
+    beyond it (ny,), seconds until all outputs stay within BAND of where they are wanted (ny,), infinite where they do not within
+    the time that the loop takes to settle, and the largest move of each command (ny, nu).
+    """
+    ny, worst = len(scale), []
+    for rho in model.frozen_values(FROZEN):
+        A, B, C, _ = model.freeze(rho)
+        C, system = C / scale[:, None], law.at(rho)
+        Ac, Bc, Cc, Dc = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
+        (Br, By), (Dr, Dy) = (np.split(M * np.tile(scale, 2), [ny], axis=1) for M in (Bc, Dc))
+        X = np.block([[A + B @ Dy @ C, B @ Cc], [By @ C, Ac]])
+        rest = np.linalg.solve(np.eye(len(X)) - X, np.vstack([B @ Dr, Br]))  # x(k) = rest - X^k rest
+        samples = SETTLED / -np.log(np.clip(np.abs(np.linalg.eigvals(X)).max(), 1e-6, 1.0 - 1e-9))
+        every = int(np.ceil(samples / POINTS))
+        x, left, stride = rest, [], np.linalg.matrix_power(X, every)
+        for _ in range(POINTS):
+            left.append(rest - x)
+            x = stride @ x
+        y = C @ (x := np.array(left))[:, : len(A)]
+        off, u = y - np.eye(ny), Dr + Dy @ y + Cc @ x[:, len(A) :]
+        away = np.any(np.abs(off) > BAND, axis=1)
+        time = every * law.dt * np.where(away.any(axis=0), POINTS - np.argmax(away[::-1], axis=0), 0)
+        worst.append((np.einsum("kjj->kj", off).max(axis=0), np.where(away[-1], np.inf, time), np.abs(u).max(axis=0).T))
+    beyond, settled, moved = (np.max(own, axis=0) for own in zip(*worst, strict=True))
+    return np.maximum(beyond, 0.0), settled, moved
 
 
-def _soonest(trials: Sequence[Trial], j: int) -> int:
-    """Which of runs, from brisk to calm, set-point j is best answered by."""
-    beyond, settled = (np.array([getattr(own, key)[j] for own in trials]) for key in ("beyond", "settled"))
-    if not (good := beyond <= OVERSHOOT).any():
-        return int(np.flatnonzero(beyond <= beyond.min() + ALIKE[0])[0])
-    return int(np.flatnonzero(good & (settled <= ALIKE[1] * settled[good].min()))[-1])
+def _soonest(beyond: np.ndarray, settled: np.ndarray) -> int:
+    """Which of several reference models (k,), from brisk to calm, a set-point is best answered by; settled: infinite where they
+    do not, or are no choice.
+    """
+    if not np.isfinite(settled).any():
+        return int(np.flatnonzero(beyond <= max(OVERSHOOT, beyond.min() + ALIKE[0]))[0])
+    return int(np.flatnonzero(settled <= ALIKE[1] * settled.min())[-1])
+
+
+def _overshoots(trial: Trial) -> np.ndarray:
+    """Whether steps of each set-point (nr,) overshoot by more than they should; all of them in a run that is lost."""
+    return np.greater(trial.beyond, OVERSHOOT) if len(trial.beyond) else np.array([bool(trial.lost)])
 
 
 @record

@@ -19,6 +19,7 @@ Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weig
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -53,6 +54,7 @@ class Clamping:
 AntiWindup = BackCalculation | Clamping
 ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
 KIND = "scheduled-pid"
+SHAPED_VERSION = 2  # of a file with reference models, which programs that know none refuse
 LAW = "u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
 SHAPED_LAW = (
     "u = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the derivative of c m - y filtered by Tf, "
@@ -164,6 +166,18 @@ class ScheduledPID:
         """Whether a set-point goes through a slew limit or a reference model."""
         return bool(np.isfinite([self.slew, self.bandwidth]).any())
 
+    @property
+    def unshaped(self) -> "ScheduledPID":
+        """The law from m to u: what is in the loop, and the same for every slew and reference model."""
+        return replace(self, slew=np.inf, bandwidth=np.inf, Ka=0.0) if self.shaped else self
+
+    def slewed(self, references: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Set-points (N, ny) within their slew, from `before` (ny,) on: what the linear form is given."""
+        found, last = np.empty_like(references), before
+        for k, r in enumerate(references):
+            found[k] = last = np.maximum(last - self.slew * self.dt, np.minimum(last + self.slew * self.dt, r))
+        return found
+
     def unit(self, channel: str) -> str:
         """Unit of a channel, "" where it is not known; a set-point has that of its output."""
         return self.units.get(dict(zip(self.references, self.measured, strict=True)).get(channel, channel), "")
@@ -223,7 +237,8 @@ class ScheduledPID:
     def reference_model(self) -> np.ndarray:
         """(ny, 6): m of m-, m'- and s, then m' of them; the critically damped model over a sample in which s stands still."""
         w = np.where(np.isfinite(self.bandwidth), self.bandwidth, 0.0)
-        x = w * self.dt
+        x = np.minimum(w * self.dt, 700.0)  # what is faster is as fast
+        w = x / self.dt
         decay = np.where(np.isfinite(self.bandwidth), np.exp(-x), 0.0)
         return np.column_stack(
             [(1 + x) * decay, self.dt * decay, 1 - (1 + x) * decay, -w * x * decay, (1 - x) * decay, w * x * decay]
@@ -238,7 +253,7 @@ class ScheduledPID:
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package; a limit that is not there is null."""
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
-        shaping = {"slew": finite(self.slew), "bandwidth": finite(self.bandwidth), "Ka": self.Ka} if self.shaped else {}
+        shaping = {"slew": finite(self.slew), "bandwidth": finite(self.bandwidth), "Ka": self.Ka, "version": SHAPED_VERSION}
         return {
             "kind": KIND,
             "law": SHAPED_LAW if self.shaped else LAW,
@@ -249,7 +264,7 @@ class ScheduledPID:
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "Kr": self.Kr, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
-        } | shaping  # fmt: skip
+        } | (shaping if self.shaped else {})  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
@@ -330,8 +345,15 @@ class ScheduledPID:
         """Memory after a sample in which somebody else commanded u: a person, another controller, this one with other gains.
 
         The next command goes on from u without a bump; use it in place of `step` while the loop is open, and once with the new
-        law when gains change.
+        law when gains change: where only one of the two has reference models, they begin at rest here.
         """
+        expected, tail = len(self.init()), 3 * len(self.measured)
+        if self.shaped and len(state) == expected - tail:
+            state = np.concatenate([state, r, r, np.zeros_like(r)])
+        elif not self.shaped and len(state) == expected + tail:
+            state = state[:expected]
+        elif len(state) != expected:
+            raise InputError(f"memory of {len(state)} numbers", file=self.name, mend=f"{expected}: that of a law like it")
         K, at = self._numbers(self.gains, rho), self._split(state)
         aim = self._aim(K, at, r)
         direct, f, d = self._direct(K, at, aim, y)

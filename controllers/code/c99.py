@@ -323,8 +323,10 @@ def _float(value: float) -> str:
 def _check_float(law: ScheduledPID) -> None:
     """Refuse numbers that single precision does not hold apart, or not at all."""
     mend = "export it with double precision"
+    if law.shaped:  # what a sample moves a set-point by is less than its last digit
+        raise InputError("a slew or a reference model needs more digits than single precision has", file=law.name, mend=mend)
     for table in tables(law):
-        limits = table.name in ("LOW", "HIGH", "RATE", "SLEW")
+        limits = table.name in ("LOW", "HIGH", "RATE")
         if not limits and np.abs(table.values).max() > NO_LIMIT_FLOAT:
             raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
         if table.name.startswith(("SPAN", "KNOTS")) and np.any(np.diff(np.float32(table.values)) <= 0.0):

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 import controllers
 from controllers import MPC, MPCDesign, ScheduledPID, ScheduledPIDDesign, load_controller
+from controllers.designs import _answered
 from studies.cli import main
 from workbench.basis import CONSTANT
 from workbench.data import Channel
@@ -131,34 +132,81 @@ def test_what_is_said_of_set_points_stays():
         ScheduledPIDDesign(reference_model={"z": 1.0}).on(model)
 
 
-def tried_as(answer):
-    """A trial of a law by its bandwidths in samples, one for each set-point."""
-    return lambda law, *_: answer(law.bandwidth * law.dt)
+FINE = Trial("", "", "", [0.1, 0.1], [1.0, 1.0])
 
 
 def test_each_set_point_has_the_calmest_of_the_reference_models_after_which_outputs_settle_about_soonest(monkeypatch):
-    model, dt = cross_coupled(), 0.1
-
-    def answer(x):
-        beyond = np.array([0.5 if x[0] > 0.3 else 0.1, 0.1])
+    def answered(law, *_):
+        x = law.bandwidth * law.dt  # bandwidths in samples
         first = 3.0 if x[0] > 0.2 else 1.0 / x[0]
-        return Trial("", "", "", beyond, [first, 1.0 if x[1] >= 0.5 else 1.05 if x[1] > 0.1 else 9.0])
+        second = 1.0 if x[1] >= 0.5 else 1.05 if x[1] > 0.1 else 9.0
+        return np.array([0.5 if x[0] > 0.3 else 0.1, 0.1]), np.array([first, second]), np.ones((2, 2))
 
-    monkeypatch.setattr("controllers.designs.tried", tried_as(answer))
-    law = ScheduledPIDDesign().on(model)
-    np.testing.assert_allclose(law.bandwidth * dt, [0.25, 0.125])
-    monkeypatch.setattr("controllers.designs.tried", tried_as(lambda x: Trial("", "", "", [0.6, 0.1], [1.0, 1.0])))
+    model = cross_coupled()
+    monkeypatch.setattr("controllers.designs.tried", lambda *_: FINE)
+    monkeypatch.setattr("controllers.designs._answered", answered)
+    np.testing.assert_allclose(ScheduledPIDDesign().on(model).bandwidth * model.dt, [0.25, 0.125])
+    monkeypatch.setattr("controllers.designs._answered", lambda *_: (np.array([0.6, 0.1]), np.ones(2), np.ones((2, 2))))
     law = ScheduledPIDDesign(reference_model={"y2": 7.0}).on(model)
     assert law.bandwidth.tolist() == [np.inf, 7.0]  # nothing helps: the briskest
 
 
-def test_where_the_briskest_answer_loses_the_loop_a_calmer_one_is_taken(model, monkeypatch):
-    def answer(x):
-        return Trial("", "it runs away" if x[0] > 0.6 else "", "", *([], []) if x[0] > 0.6 else ([0.1], [1.0 / x[0]]))
+@pytest.mark.parametrize("dt", [0.1, 0.01, 1e-3])
+def test_a_reference_model_commands_no_more_than_the_set_point_itself_would(dt):
+    """The finer the sampling the more a brisk one kicks: 184 times the steady command at 1 ms."""
+    a = np.exp(-dt)
+    model = constant_model(
+        "lag", dt, ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),)),
+        ([[a]], [[1.0 - a]], [[1.0]], [[0.0]]), OperatingPoint(CONSTANT, [[0.0]], [[0.0]]),
+    )  # fmt: skip
+    found = ScheduledPIDDesign().design(model)
+    law = ScheduledPIDDesign().calmed(found, model)[0].law
+    peaks = []
+    for own in (found.law, law):
+        x, state, most = 0.0, own.init(), 0.0
+        for k in range(int(3.0 / dt)):
+            u, state = own.step(state, np.array([float(k > 0)]), np.array([x]))
+            x, most = a * x + (1.0 - a) * u[0], max(most, abs(u[0]))
+        peaks.append(most)
+    assert law.shaped
+    assert peaks[1] <= 1.02 * peaks[0]
 
-    monkeypatch.setattr("controllers.designs.tried", tried_as(answer))
-    law = ScheduledPIDDesign().on(model)
-    assert law.bandwidth.tolist() == [0.5 / law.dt]
+
+def test_where_the_run_overshoots_or_is_lost_slower_reference_models_are_tried(monkeypatch):
+    model = cross_coupled()
+
+    def tried(law, *_):
+        x = law.bandwidth * law.dt
+        return Trial("", "it runs away", "") if x[1] > 0.6 else Trial("", "", "", [0.1, x[1]], [1.0, 1.0])
+
+    monkeypatch.setattr("controllers.designs.tried", tried)
+    monkeypatch.setattr("controllers.designs._answered", lambda *_: (np.zeros(2), np.ones(2), np.ones((2, 2))))
+    monkeypatch.setattr("controllers.designs._soonest", lambda *_: 0)  # none
+    np.testing.assert_allclose(ScheduledPIDDesign().on(model).bandwidth * model.dt, [0.5, 0.125])
+    monkeypatch.setattr("controllers.designs.tried", lambda *_: Trial("", "", "", [0.1, 0.6], [1.0, 1.0]))
+    assert ScheduledPIDDesign().on(model).bandwidth.tolist() == [np.inf, np.inf]  # nothing helps: the briskest
+
+
+@pytest.mark.parametrize("zeta", [None, 0.4, 1.0])
+def test_what_the_frozen_loops_are_said_to_do_is_what_the_controller_does_sample_by_sample(zeta):
+    model = cross_coupled() if zeta is None else swinging(zeta, rest=0.0)
+    found = ScheduledPIDDesign().design(model)
+    for w in (np.inf, 0.7):
+        law = found.following(w)
+        beyond, settled, moved = _answered(law, model, found.scale)
+        for j in range(len(found.scale)):
+            r, x, state, y, most = np.zeros(len(beyond)), np.zeros(len(model.A[0])), law.init(), [], 0.0
+            for _ in range(4000):
+                y.append(model.C[0] @ x)
+                u, state = law.step(state, r, y[-1])
+                most = np.maximum(most, np.abs(u))
+                r[j] = found.scale[j]  # after one sample at rest
+                x = model.A[0] @ x + model.B[0] @ u
+            off = (np.array(y[1:]) - r) / found.scale
+            late = np.flatnonzero((np.abs(off) > 0.05).any(axis=1))[-1] + 1
+            assert beyond[j] == pytest.approx(max(off[:, j].max(), 0.0), abs=2e-3)
+            np.testing.assert_allclose(moved[j], most, rtol=0.02, atol=1e-6)
+            assert settled[j] == pytest.approx(late * model.dt, abs=1.5 * model.dt + 0.01 * late * model.dt)
 
 
 def test_a_controller_that_loses_its_loop_is_not_handed_out(model, monkeypatch):

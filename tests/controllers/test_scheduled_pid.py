@@ -129,6 +129,33 @@ def test_the_linear_system_has_the_reference_models(bandwidth):
     np.testing.assert_allclose(of_y, full().at().frequency_response(np.array([1.0, 9.0])).complex[:, 2:], atol=1e-12)
 
 
+def test_a_reference_model_that_is_faster_than_a_sample_is_none():
+    r, y = signals()
+    for w in (1e5, 1e200, 1e300):
+        np.testing.assert_allclose(through(replace(full(), bandwidth=w), r, y), through(full(), r, y), atol=1e-9)
+
+
+def test_gains_change_from_a_law_with_a_reference_model_to_one_without_and_back():
+    with_one, without, r, y = shaped(full()), full(), np.array([3.0, -2.0]), np.array([2.0, -1.0])
+    held = np.array([0.3, -0.4])
+    for old, new in ((without, with_one), (with_one, without)):
+        _, state = old.step(old.init(), r, y)
+        state = new.follow(state, held, r, y)
+        assert len(state) == len(new.init())
+        np.testing.assert_allclose(new.step(state, r, y)[0], held, atol=1e-12)
+    with pytest.raises(InputError, match="memory of 3 numbers"):
+        without.follow(np.zeros(3), held, r, y)
+
+
+def test_a_file_with_reference_models_is_of_another_version():
+    assert "version" not in full().to_dict()
+    content = shaped(full()).to_dict()
+    assert content["version"] == 2
+    again = ScheduledPID.from_dict(content)
+    for key in ("slew", "bandwidth", "Ka"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(shaped(full()), key))
+
+
 def test_without_limits_it_is_the_linear_system_of_python_control():
     r, y = signals(2)
     law = full()

@@ -239,7 +239,7 @@ def _spanning(sizes: dict[str, Estimate], others: Sequence[Other]) -> dict[str, 
     """Sizes whose first, a time, has an interval that holds those of the other times too."""
     name, found = next(iter(sizes.items()))
     low, high = (end(getattr(own, side) for own in (found, *others)) for end, side in ((min, "low"), (max, "high")))
-    return sizes | {name: replace(found, low=low, high=high)}
+    return sizes | {name: replace(found, low=max(low, 0.0), high=high)}
 
 
 def exchanges(steps: Sequence[Step]) -> list[str]:

@@ -448,17 +448,19 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         others = steps[:j] + steps[j + 1 :]
         found = screen_effects(less, [*rivals, step.key], sizes)
         trials = refits(less, found, sizes) if found else []
+        # the cause stands where it was found: it begins anew as its rivals do, and where the best of them has come to
+        anew = [timed(less, settled(m, sizes, model), step.key, sizes) for m, s in trials if s.key == step.key]
+        if anew and anew[0].model.bic < model.bic:
+            model, step = anew[0].model, replace(step, others=anew[0].others)
+        trials = [(m, s) for m, s in trials if s.key != step.key]
         # a first fit lies far behind where noise levels do not suit it yet, but all that have a chance lie behind alike
         near = [(m, s) for m, s in trials if m.bic < trials[0][0].bic + SWAP and m.bic < 0.5 * (less.bic + model.bic)]
         tried = [(timed(less, settled(m, sizes, model), s.key, sizes), s) for m, s in near]
-        # the cause stands where it was found: it begins anew as its rivals do, and where the best of them has come to
-        anew = [t for t, s in tried if s.key == step.key]
-        tried = [(t, s) for t, s in tried if s.key != step.key]
-        if tried and min(t.model.bic for t, _ in tried) < model.bic:
-            rival = min((t.model for t, _ in tried), key=lambda m: m.bic)
-            anew.append(timed(less, settled(model, sizes, rival), step.key, sizes))
-        if anew and (best := min(anew, key=lambda t: t.model.bic)).model.bic < model.bic:
-            model, step = best.model, replace(step, others=best.others)
+        best = min((t.model for t, _ in tried), key=lambda m: m.bic, default=model)
+        if best.bic < model.bic:
+            again = timed(less, settled(model, sizes, best), step.key, sizes)
+            if again.model.bic < model.bic:
+                model, step = again.model, replace(step, others=again.others)
         times = {s.key: t.others for t, s in tried} | {step.key: step.others}
         alike = _alike_stepped(best_first([(model, step.score), *((t.model, s) for t, s in tried)]), sizes)
         model = next(m for m, s in alike if s is step.score)

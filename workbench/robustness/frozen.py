@@ -115,7 +115,7 @@ def closed_loop(law: LinearLaw, model: LPVModel, rho: Any, scale: np.ndarray | f
 
 def feedback_of(law: LinearLaw, rho: Any) -> System:
     """What a frozen law makes of -y."""
-    own: Any = law.at(rho)
+    own: Any = getattr(law, "unshaped", law).at(rho)  # set-points are not in the loop
     reads = slice(len(law.references), None)
     return System(own.A, -own.B[:, reads], own.C, -own.D[:, reads], law.dt)
 

@@ -24,7 +24,7 @@ class LinearLaw(Loop, Protocol):
     def at(self, rho: Any) -> Any:
         """python-control system from (r, y) to u less its offset; its state keeps its meaning while the schedule moves.
 
-        r are set-points within the law's `slew` (nr,) [1/s], where it has one.
+        r are set-points within their slew, where the law has a method `slewed` for that.
         """
         ...
 
@@ -48,17 +48,8 @@ class LinearLaw(Loop, Protocol):
 
 
 def slews(law: Any) -> np.ndarray:
-    """Largest rates (nr,) of the set-points that a law lets through; infinite where it has none."""
-    return np.broadcast_to(np.asarray(getattr(law, "slew", np.inf), dtype=float), len(law.references))
-
-
-def slewed(law: Any, references: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Set-points (N, nr) within the slew of a law, from `before` (nr,) on: what its linear form is given."""
-    reach = slews(law) * law.dt
-    found, last = np.empty_like(references), before
-    for k, r in enumerate(references):
-        found[k] = last = np.maximum(last - reach, np.minimum(last + reach, r))
-    return found
+    """Largest rates (nr,) of the set-points of a law that says what they become, by `slewed`; infinite of others."""
+    return np.broadcast_to(law.slew if hasattr(law, "slewed") else np.inf, len(law.references))
 
 
 LINEAR = ("at", "offset", "low", "high", "rate", "span")
@@ -109,7 +100,7 @@ def _unlimited(law: Any) -> Any:
         return law
     record: Any = law
     none = np.full(len(record.actuated), np.inf)
-    free = {"slew": np.full(len(record.references), np.inf)} if hasattr(record, "slew") else {}
+    free = {"slew": np.full(len(record.references), np.inf)} if hasattr(record, "slewed") else {}
     return replace(record, low=-none, high=none, rate=none, **free)
 
 

@@ -16,7 +16,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.records import field, record
 from workbench.robustness.envelopes.course import Course
-from workbench.robustness.linear_law import LinearLaw, check_law, slewed, slews
+from workbench.robustness.linear_law import LinearLaw, check_law, slews
 from workbench.robustness.machine import Machine, machine_of, machines_along
 from workbench.robustness.rests import Rest
 from workbench.robustness.uncertain import UncertainLoop
@@ -51,11 +51,13 @@ class DrivenLoop:
         """Without the errors that no parameter explains: nothing but the parameters of regressors that move is uncertain."""
         return replace(self, lam=np.where(self.moving, self.lam, 0.0))
 
-    def undriven(self) -> UncertainLoop:
-        """Without what drives it, without the states that set-points alone move, which are stable and known and come to rest
-        whatever the loop does, and without the parameters of regressors that no other state moves (`fed_back`).
+    def undriven(self, *, still: bool = False) -> UncertainLoop:
+        """Without what drives it, and without the parameters of regressors that do not move.
+
+        still: of a schedule that stands still, also without the states that set-points alone move, which are stable and known and
+        come to rest whatever the loop does, and the parameters of regressors that no other state moves (`fed_back`).
         """
-        x, p = ~self.aside, self.fed_back
+        x, p = (~self.aside, self.fed_back) if still else (np.ones(len(self.A), dtype=bool), self.moving)
         names = tuple(name for name, kept in zip(self.parameters, p, strict=True) if kept)
         return UncertainLoop(self.A[np.ix_(x, x)], self.B[x], self.C[np.ix_(p, x)], self.lam[p], self.channel[p], names, self.dt)
 
@@ -184,7 +186,8 @@ def course_of(
     ]:
         mend = f"give [run] initial of {limited[0]} one value, or a law without its slew"
         raise InputError(f"{limited[0]} is slewed from a set-point that is known between two values only", mend=mend)
-    references = slewed(law, references, ends[:, 0])
+    if np.isfinite(slews(law)).any():
+        references = law.slewed(references, ends[:, 0])  # type: ignore[attr-defined]
     still = not np.ptp(rho, axis=0).any()
     values = rho[:1] if still else rho
     loops = []

@@ -126,7 +126,7 @@ def _stability(
         progress(f"stability{where}")
         claim = f"stable{where}" + FROZEN * bool(where) + f" in boxes {needed:g} times as wide" * (needed != 1.0)
         whole = driven(machine_with_errors(model, errors, rho), law, rho)
-        loop = whole.undriven()
+        loop = whole.undriven(still=True)
         # beyond the boxes themselves nothing is known of what the records leave open: there sequences within them refute
         moving, constant = limits.moving or needed != 1.0, left.possible[:, whole.fed_back] if needed >= 1.0 else None
         try:

@@ -23,6 +23,7 @@ POINTS = 5  # schedule values at which loops are asked how slow they are
 SETTLED = 5.0  # time constants of the slowest pole that a set-point is held
 SHORTEST, LONGEST = 50, 3000  # samples that it is held at least, at most
 PLANNED = 300  # samples at most that a law that plans at every one is given
+LATE = 5  # times that, for a slew or a reference model
 SHARES = (1.0, 0.1, 0.01)  # of a step on a plant whose range nobody knows: its loop is lost if it is at all of them
 SHARE = 0.5  # of the room that limits leave, for a step; of a step, from where on an error is lost
 ALONG = 1000  # samples at least along a schedule that moves on its own
@@ -191,8 +192,9 @@ def _settling(law: Any, model: LPVModel, step: np.ndarray) -> int:
         for rho in model.frozen_values(POINTS):
             slowest = max(slowest, float(np.abs(closed_loop(linear, model, rho).system.poles).max()))
     samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
-    samples += np.max(np.abs(step) / (slews(linear) * law.dt), initial=0.0)
-    return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST))
+    ways = np.abs(step) / slews(linear) + SETTLED / np.asarray(getattr(linear, "bandwidth", np.inf))  # s that set-points take
+    late = min(float(np.max(ways, initial=0.0)) / law.dt, LATE * LONGEST)
+    return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST) + (0 if planned else late))
 
 
 def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[str], dt: float, settling: int) -> Trial:
@@ -211,7 +213,8 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
             kicks[np.ix_(moved == 0.0, moved != 0.0)], away.max(axis=0)[moved == 0.0, None]
         )
         still = np.flatnonzero((away > BAND * size).any(axis=1))
-        settled = np.where(moved != 0.0, np.maximum(settled, dt * (still[-1] + 1 if len(still) else 0)), settled)
+        own = np.inf if len(still) and still[-1] == end - begun - 1 else dt * (still[-1] + 1 if len(still) else 0)
+        settled = np.where(moved != 0.0, np.maximum(settled, own), settled)
         last = slice(end - max(1, settling // 5), end)
         off = np.sqrt(np.mean((r[last] - y[last]) ** 2, axis=0))
         for name, unit, error, step in zip(law.measured, units, off, size, strict=False):
@@ -222,8 +225,10 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     each = list(zip(law.measured, units, size, r[0], over, strict=False))
     steps = ", ".join(f"{name} {step:.3g} {unit}".rstrip() + f" from {first:.4g}" for name, unit, step, first, _ in each)
     said = f"tried on {where}: steps of {steps} for {dt * len(r):.4g} s, none lost"
-    took = ", ".join(f"{own:.3g} s ({name})" for name, own in zip(law.measured, settled, strict=False) if own > 0.0)
+    took = ", ".join(f"{own:.3g} s ({name})" for name, own in zip(law.measured, settled, strict=False) if 0.0 < own < np.inf)
     said += f"; settled to {BAND:.0%} in {took}" * bool(took)
+    if never := [name for name, own in zip(law.measured, settled, strict=False) if own == np.inf]:
+        said += f"; not settled to {BAND:.0%} before the next step after steps of {', '.join(never)}"
     far = [f"{name} overshoots by up to {share:.0%} of its step" for name, *_, share in each if share > OVERSHOOT]
     for (name, unit, *_), own, whole in zip(each, kicks, size, strict=True):
         if own.max(initial=0.0) > OVERSHOOT * whole > 0.0:

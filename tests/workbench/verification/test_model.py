@@ -100,6 +100,37 @@ def test_without_noise_only_what_moves_is_uncertain():
     np.testing.assert_array_equal(names[1], [0.05, 0.05, 0.0])
 
 
+def test_a_reference_model_changes_nothing_of_a_loop_in_motion():
+    """Its states are in the loop there: what stands still may leave them out, what moves may not."""
+    plain, behind = (
+        _in_motion(scheduled(), errors(), law, 0.5, 3, 1.0, "", lambda _: None) for law in (LAW, replace(LAW, bandwidth=3.0))
+    )
+    assert behind.status is plain.status is Status.PROVED
+    assert behind.margin == pytest.approx(plain.margin, rel=0.01)
+
+
+class Claiming:
+    """The law, with a slew that it does not keep."""
+
+    def __init__(self, slew):
+        self.slew = slew
+
+    def __getattr__(self, name):
+        if name == "slewed":
+            raise AttributeError(name)
+        return getattr(LAW, name)
+
+
+def test_a_slew_that_a_law_only_says_it_has_is_not_believed():
+    r = np.where(np.arange(N) > 5, 1.0, 0.0)[:, None]
+    known = scheduled(), errors()
+    courses = [course_of(*known, law, np.full(N, 0.5), r, noise=True) for law in (LAW, Claiming(0.01), Claiming(None))]
+    for own in courses[1:]:
+        np.testing.assert_array_equal(own.q, courses[0].q)
+    slow = course_of(*known, replace(LAW, slew=0.01), np.full(N, 0.5), r, noise=True)
+    assert np.abs(nominal(slow).v).max() < 0.2 * np.abs(nominal(courses[0]).v).max()
+
+
 @pytest.mark.slow
 def test_in_motion_only_a_loop_that_is_linear_between_its_nodes_is_proved():
     def asked(model, radius=(0.05, 0.05, 0.01)):
