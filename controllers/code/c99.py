@@ -218,16 +218,17 @@ C_EVEN = """\
     for (int k = 0; k < TERMS; ++k)
         phi[k] = 1 + 0 * rho;"""
 C_SHAPING_STATE = Template("""\
-    ${name}_real s[${NAME}_NY]; /* set-points within their slew */
-    ${name}_real m[${NAME}_NY]; /* reference models */
-    ${name}_real n[${NAME}_NY]; /* their rates */
+    double s[${NAME}_NY]; /* set-points within their slew */
+    double m[${NAME}_NY]; /* reference models: what they move by in a sample may be less than a float's last digit */
+    double n[${NAME}_NY]; /* their rates */
 """)
-C_SHAPING = """\
-        const real held = s->cold ? r[j] : s->s[j], m = s->cold ? r[j] : s->m[j], n = s->cold ? 0 : s->n[j];
-        s->s[j] = clipped(r[j], held - SLEW[j] * PERIOD, held + SLEW[j] * PERIOD);
+C_SHAPING = Template("""\
+        const double way = SLEW[j] * ${double}PERIOD, held = s->cold ? ${double}r[j] : s->s[j];
+        const double m = s->cold ? ${double}r[j] : s->m[j], n = s->cold ? 0 : s->n[j];
+        s->s[j] = fmax(held - way, fmin(held + way, ${double}r[j]));
         s->m[j] = MODEL[j][0] * m + MODEL[j][1] * n + MODEL[j][2] * s->s[j];
         s->n[j] = MODEL[j][3] * m + MODEL[j][4] * n + MODEL[j][5] * s->s[j];
-"""
+""")
 C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * (u[i] - v);"
 C_CLAMPING = """\
 if (!((v - u[i]) * push > 0))
@@ -237,6 +238,7 @@ if (!((v - u[i]) * push > 0))
 def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
     """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
     number, f = (_float, "f") if single else (double_text, "")
+    narrow = "(real)" * single  # of what is kept in double precision
     if single:
         _check_float(law)
     scheduled, several, sizes = law.schedule is not None, law.span.ndim > 1, table_sizes(law)
@@ -258,8 +260,9 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
         "finite": isfinite if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
-        "Kr": gain("KR[i][j]"), "m": "m" if law.shaped else "r", "aim": "s->m[j]" if law.shaped else "r[j]",
-        "Ka": f"            own += {gain('KA[i][j]')} * s->n[j];\n" * law.shaped, "shaping": C_SHAPING * law.shaped,
+        "Kr": gain("KR[i][j]"), "m": "m" if law.shaped else "r", "aim": f"{narrow}s->m[j]" if law.shaped else "r[j]",
+        "Ka": f"            own += {gain('KA[i][j]')} * {narrow}s->n[j];\n" * law.shaped,
+        "shaping": C_SHAPING.substitute(double="(double)" * single) * law.shaped,
         "shaping_state": C_SHAPING_STATE.substitute(name=name, NAME=NAME) * law.shaped,
         "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
     }  # fmt: skip
@@ -299,7 +302,8 @@ def _c_weights(basis: Basis, f: str) -> str:
 
 def _c_table(table: Table, number: Number) -> str:
     """static const real KP[NU][NY] = {...}; with its comments."""
-    kind, number = ("int", lambda value: str(int(value))) if table.whole else ("real", number)
+    kind, number = ("double", double_text) if table.wide else ("real", number)
+    kind, number = ("int", lambda value: str(int(value))) if table.whole else (kind, number)
     start = f"static const {kind} {table.name}{''.join(f'[{size}]' for size in table.sizes)} ="
     comment = f"/* {plain_comment(table.comment)} */"
     if not table.sizes:
@@ -323,11 +327,9 @@ def _float(value: float) -> str:
 def _check_float(law: ScheduledPID) -> None:
     """Refuse numbers that single precision does not hold apart, or not at all."""
     mend = "export it with double precision"
-    if law.shaped:  # what a sample moves a set-point by is less than its last digit
-        raise InputError("a slew or a reference model needs more digits than single precision has", file=law.name, mend=mend)
     for table in tables(law):
         limits = table.name in ("LOW", "HIGH", "RATE")
-        if not limits and np.abs(table.values).max() > NO_LIMIT_FLOAT:
+        if not limits and not table.wide and np.abs(table.values).max() > NO_LIMIT_FLOAT:
             raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
         if table.name.startswith(("SPAN", "KNOTS")) and np.any(np.diff(np.float32(table.values)) <= 0.0):
             raise InputError(f"{table.name} holds values that are one in single precision", file=law.name, mend=mend)

@@ -13,7 +13,7 @@ from workbench.physics.controller import schedules_of
 class Table(NamedTuple):
     """A constant of the law: its dimensions as they are called in the text, its numbers, and a comment for each of its rows.
 
-    whole: its numbers are indices, counted from 0.
+    whole: its numbers are indices, counted from 0. wide: they are kept in double precision everywhere.
     """
 
     name: str
@@ -22,6 +22,7 @@ class Table(NamedTuple):
     comment: str
     rows: tuple[str, ...] = ()
     whole: bool = False
+    wide: bool = False
 
 
 def tables(law: ScheduledPID) -> list[Table]:
@@ -59,8 +60,10 @@ def _shaping(law: ScheduledPID) -> list[Table]:
     )
     model = "reference models: what m and its rate n are of the last m and n and of s"
     return [
-        Table("SLEW", ("NY",), law.slew, f"largest rates of the set-points, per second: {channels(law, law.references)}"),
-        Table("MODEL", ("NY", "6"), law.reference_model, model, rows),
+        Table(
+            "SLEW", ("NY",), law.slew, f"largest rates of the set-points, per second: {channels(law, law.references)}", wide=True
+        ),
+        Table("MODEL", ("NY", "6"), law.reference_model, model, rows, wide=True),
     ]
 
 

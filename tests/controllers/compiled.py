@@ -29,7 +29,7 @@ class CompiledLaw:
         class State(ctypes.Structure):
             _fields_ = (
                 ("z", self.real * nu), ("f", self.real * ny), ("d", self.real * ny),
-                *((key, self.real * ny) for key in ("s", "m", "n") * law.shaped), ("u", self.real * nu),
+                *((key, ctypes.c_double * ny) for key in ("s", "m", "n") * law.shaped), ("u", self.real * nu),
                 ("cold", ctypes.c_bool), ("takes_over", ctypes.c_bool), ("valid", ctypes.c_bool),
                 *((("outside", ctypes.c_bool),) if self.scheduled else ()), ("limit", ctypes.c_int * nu),
             )  # fmt: skip

@@ -330,6 +330,18 @@ def test_single_precision_differs_by_what_the_documentation_says(winding, tmp_pa
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("shaping", [{"slew": 1.0}, {"bandwidth": 0.5}])
+def test_in_single_precision_set_points_arrive(tmp_path, shaping):
+    """In 1 ms a set-point of a hundred thousand moves by less than a float's last digit, for ever."""
+    law = replace(pid(("u",), ("y",), ("r",), 1e-3, [0.0], [0.0], Kr=[[1.0]]), **shaping)
+    compiled, at = CompiledLaw(law, in_c(law, tmp_path, single=True), single=True), 101325.0
+    compiled.init()
+    for k in range(20_000):
+        u, *_ = compiled.step([at + 10.0 * (k > 0)], [at])
+    assert u[0] == pytest.approx(at + 10.0, abs=0.02)
+
+
+@pytest.mark.slow
 def test_two_states_run_two_loops(tmp_path):
     law = LAWS["2x3 over knots"]
     source, given = in_c(law, tmp_path), [events(law, seed) for seed in (4, 5)]
