@@ -342,23 +342,23 @@ class _Plan:
         gains = np.array([self.frozen(model, rho, np.ones(y.shape[1])).gain for rho in self.grid])
         Kr = np.zeros(gains.swapaxes(1, 2).shape)
         if self.structure.feedforward:
-            allowed = np.ones(Kr.shape[1:]) if self.structure.allowed is None else np.asarray(self.structure.allowed)
-            for gain, own in zip(gains / self.scale[:, None], Kr, strict=True):
-                for j, entries in enumerate(allowed.T.astype(bool)):  # the inputs that set-point j may move
-                    own[entries, j] = np.linalg.pinv(gain[:, entries])[:, j] / self.scale[j]
+            Kr = np.array([self._nearest(gain, np.eye(len(self.scale))) for gain in gains / self.scale[:, None]]) / self.scale
         return Kr, u + np.einsum("iuy,iy->iu", np.linalg.pinv(gains), held - y) - np.einsum("iuy,iy->iu", Kr, held)
 
     def rates(self, Kr: np.ndarray) -> np.ndarray:
         """Ka (m, nu, ny) at every knot: P(s) (Kr + Ka s) is P(0) Kr but for s^2, where entries may differ from 0 as near as they
         allow.
         """
-        allowed = np.ones(Kr.shape[1:]) if self.structure.allowed is None else np.asarray(self.structure.allowed)
-        Ka = np.zeros_like(Kr)
-        for rho, K, own in zip(self.grid, Kr, Ka, strict=True):
-            plant = self.frozen(self.model, rho, self.scale)
-            for j, entries in enumerate(allowed.T.astype(bool)):
-                own[entries, j] = -np.linalg.pinv(plant.gain[:, entries]) @ plant.slope @ K[:, j]
-        return Ka
+        plants = [self.frozen(self.model, rho, self.scale) for rho in self.grid]
+        return np.array([self._nearest(own.gain, -own.slope @ K) for own, K in zip(plants, Kr, strict=True)])
+
+    def _nearest(self, gain: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """K (nu, n) with gain K = wanted (ny, n), or what comes nearest to it with the entries that may differ from 0."""
+        allowed = np.ones(gain.T.shape) if self.structure.allowed is None else np.asarray(self.structure.allowed)
+        K = np.zeros(allowed.shape)
+        for j, entries in enumerate(allowed.T.astype(bool)):  # the inputs that set-point j may move
+            K[entries, j] = np.linalg.pinv(gain[:, entries]) @ wanted[:, j]
+        return K
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:
         """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""

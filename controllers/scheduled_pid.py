@@ -20,6 +20,7 @@ Sources: Astrom and Hagglund, "Advanced PID Control", ISA 2006, chapters 3 (weig
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -161,7 +162,7 @@ class ScheduledPID:
         times = np.divide(direct, integral, out=np.full(len(direct), self.dt), where=integral > 0.0)
         return np.maximum(times, self.dt)
 
-    @property
+    @cached_property
     def shaped(self) -> bool:
         """Whether a set-point goes through a slew limit or a reference model."""
         return bool(np.isfinite([self.slew, self.bandwidth]).any())
@@ -175,8 +176,12 @@ class ScheduledPID:
         """Set-points (N, ny) within their slew, from `before` (ny,) on: what the linear form is given."""
         found, last = np.empty_like(references), before
         for k, r in enumerate(references):
-            found[k] = last = np.maximum(last - self.slew * self.dt, np.minimum(last + self.slew * self.dt, r))
+            found[k] = last = _near(last, self.slew * self.dt, r)
         return found
+
+    def arrival(self, step: np.ndarray) -> float:
+        """Seconds in which m has come to its set-points after steps (ny,) of them: 96 % of the way."""
+        return float(np.max(np.abs(step) / self.slew + 5.0 / self.bandwidth))
 
     def unit(self, channel: str) -> str:
         """Unit of a channel, "" where it is not known; a set-point has that of its output."""
@@ -324,8 +329,7 @@ class ScheduledPID:
             z = at.z[i] + at.takes_over * (at.u[i] - own - at.z[i])
             v = own + z
             reach = K.rate[i] + FAR * at.cold * (1.0 - at.takes_over)  # a cold start has no last command to be near to
-            near = np.maximum(at.u[i] - reach, np.minimum(at.u[i] + reach, v))
-            u.append(np.maximum(K.low[i], np.minimum(K.high[i], near)))
+            u.append(np.maximum(K.low[i], np.minimum(K.high[i], _near(at.u[i], reach, v))))
             push = sum((K.Ki[i][j] * (r[j] - y[j]) for j in range(1, len(y))), K.Ki[i][0] * (r[0] - y[0]))
             if isinstance(self.anti_windup, Clamping):
                 push = push * (1.0 - ((v - u[i]) * push > 0.0))
@@ -367,7 +371,7 @@ class ScheduledPID:
         s, m, rate = [], [], []
         for j, (a, b, c, d, e, f) in enumerate(zip(*K.reference_model, strict=True)):
             held, was = (own[j] + at.cold * (r[j] - own[j]) for own in (at.s, at.m))
-            s.append(np.maximum(held - K.slew[j], np.minimum(held + K.slew[j], r[j])))
+            s.append(_near(held, K.slew[j], r[j]))
             m.append(a * was + b * at.rate[j] + c * s[j])
             rate.append(d * was + e * at.rate[j] + f * s[j])
         return _Aim(m, rate, s)
@@ -381,7 +385,7 @@ class ScheduledPID:
         for i, own in enumerate(K.u0):
             for j in range(len(y)):
                 own = own + K.Kr[i][j] * r[j] + K.Kp[i][j] * (K.b[j] * r[j] - y[j]) + K.Kd[i][j] * f[j]
-                own = own + K.Ka[i][j] * aim.rate[j] if self.shaped else own
+                own = own + K.Ka[i][j] * aim.rate[j] if aim.rate else own
             direct.append(own)
         return direct, f, d
 
@@ -481,6 +485,11 @@ class _Aim(NamedTuple):
     @property
     def memory(self) -> list:
         return [*self.s, *self.m, *self.rate] if self.s else []
+
+
+def _near(last: Any, reach: Any, value: Any) -> Any:
+    """The value, no further than `reach` from the last one."""
+    return np.maximum(last - reach, np.minimum(last + reach, value))
 
 
 def check_limits(law: str, channels: Sequence[str], lows: np.ndarray, highs: np.ndarray) -> None:

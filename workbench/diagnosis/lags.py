@@ -49,7 +49,7 @@ class Timed:
     """A model with the time that suits records and data sheet best, and other times that suit them as well."""
 
     model: Model
-    others: tuple["Other", ...] = ()
+    others: tuple[Other, ...] = ()
 
 
 def timed(before: Model, model: Model, key: str, sizes: np.ndarray) -> Timed:
@@ -89,9 +89,8 @@ def _met(model: Model, key: str) -> list[Other]:
         slope = np.zeros(model.fit.unknowns.size)
         slope[:n] = [(m[j] - T) / STEP for m in moved]
         slope[at] = -1.0
-        deviation = float(np.sqrt(slope @ model.fit.covariance @ slope))
-        if abs(T - time) < INTERVAL * deviation:
-            found.append(Other(T, T, T))
+        if abs(T - time) < INTERVAL * float(np.sqrt(slope @ model.fit.covariance @ slope)):
+            found.append(Other.about(T, 0.0))
     return found
 
 

@@ -118,10 +118,7 @@ def course(loops: Sequence[DrivenLoop], references: np.ndarray, initial: np.ndar
     It begins at the rest of any machine of the boxes, under the loop of the first sample and set-points between initial (nr, 2);
     None: under the first ones. Raises InputError where the middle of the boxes has no rest there.
     """
-    N, first, nr = len(references), loops[0], references.shape[1]
-    ends = np.repeat(references[0][:, None], 2, axis=1) if initial is None else np.asarray(initial, dtype=float)
-    if ends.shape != (nr, 2) or not np.all(ends[:, 0] <= ends[:, 1]):
-        raise InputError(f"set-points before the run of shape {ends.shape}", file="course", mend=f"({nr}, 2): low <= high")
+    N, first, nr, ends = len(references), loops[0], references.shape[1], _before(references, initial)
     if len(loops) not in (1, N):
         raise InputError(f"{len(loops)} loops for {N} samples", file="course", mend="one, or one for each sample")
     d = np.column_stack([references, np.ones(N)])
@@ -146,6 +143,15 @@ def course(loops: Sequence[DrivenLoop], references: np.ndarray, initial: np.ndar
         q=q, g=driving("H"), f=driving("J"), start=np.linalg.solve(np.eye(len(first.A)) - first.A, before.q),
         signals=first.signals, before=before,
     )  # fmt: skip
+
+
+def _before(references: np.ndarray, initial: np.ndarray | None) -> np.ndarray:
+    """Between which set-points (nr, 2) the loop rests before the run: as given, or the first ones."""
+    nr = references.shape[1]
+    ends = np.repeat(references[0][:, None], 2, axis=1) if initial is None else np.asarray(initial, dtype=float)
+    if ends.shape != (nr, 2) or not np.all(ends[:, 0] <= ends[:, 1]):
+        raise InputError(f"set-points before the run of shape {ends.shape}", file="course", mend=f"({nr}, 2): low <= high")
+    return ends
 
 
 def with_rates(loop: DrivenLoop, names: Sequence[str]) -> DrivenLoop:
@@ -180,7 +186,7 @@ def course_of(
     set-points under which the loop rests before the run, low and high; None: the first ones.
     """
     check_law(model, law)
-    ends = np.repeat(references[0][:, None], 2, axis=1) if initial is None else np.asarray(initial, dtype=float)
+    ends = _before(references, initial)
     if limited := [
         name for name, slew, (low, high) in zip(law.references, slews(law), ends, strict=True) if slew < np.inf and high > low
     ]:

@@ -16,7 +16,7 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.rehearsal import Rehearsal
 from workbench.robustness.frozen import closed_loop
-from workbench.robustness.linear_law import slews, without_linear_form
+from workbench.robustness.linear_law import without_linear_form
 from workbench.simulation import LeftRangeError, Scenario, simulate
 
 POINTS = 5  # schedule values at which loops are asked how slow they are
@@ -185,16 +185,15 @@ def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _settling(law: Any, model: LPVModel, step: np.ndarray) -> int:
-    """Samples in which the slowest frozen loop settles after steps (nr,) of its set-points, which it may slew."""
+    """Samples in which the slowest frozen loop settles after steps (nr,) of its set-points, however late it lets them arrive."""
     planned = not hasattr(law, "at")
     linear, slowest = getattr(law, "fallback", law), 0.0
     if not without_linear_form(linear):
         for rho in model.frozen_values(POINTS):
             slowest = max(slowest, float(np.abs(closed_loop(linear, model, rho).system.poles).max()))
     samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
-    ways = np.abs(step) / slews(linear) + SETTLED / np.asarray(getattr(linear, "bandwidth", np.inf))  # s that set-points take
-    late = min(float(np.max(ways, initial=0.0)) / law.dt, LATE * LONGEST)
-    return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST) + (0 if planned else late))
+    late = min(linear.arrival(step) / law.dt, LATE * LONGEST) if hasattr(linear, "arrival") and not planned else 0.0
+    return int(np.clip(samples, SHORTEST, PLANNED if planned else LONGEST) + late)
 
 
 def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[str], dt: float, settling: int) -> Trial:
@@ -209,9 +208,8 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
         beyond = (np.sign(moved) * (y[begun:end] - r[begun])).max(axis=0)
         over = np.where(moved != 0.0, np.maximum(over, beyond / np.maximum(np.abs(moved), 1e-300)), over)
         away = np.abs(y[begun:end] - r[begun])
-        kicks[np.ix_(moved == 0.0, moved != 0.0)] = np.maximum(
-            kicks[np.ix_(moved == 0.0, moved != 0.0)], away.max(axis=0)[moved == 0.0, None]
-        )
+        stood = np.outer(moved == 0.0, moved != 0.0)
+        kicks = np.where(stood, np.maximum(kicks, away.max(axis=0)[:, None]), kicks)
         still = np.flatnonzero((away > BAND * size).any(axis=1))
         own = np.inf if len(still) and still[-1] == end - begun - 1 else dt * (still[-1] + 1 if len(still) else 0)
         settled = np.where(moved != 0.0, np.maximum(settled, own), settled)
