@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from controllers.mpc import MPC, default_weights, design_mpc
-from controllers.pid_design import PIDDesign, Structure, design_pid
+from controllers.pid_design import OBJECTIVES, PIDDesign, Structure, design_pid
 from controllers.scheduled_pid import ScheduledPID
 from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError, check_known
@@ -38,7 +38,7 @@ ALIKE = 0.02, 1.1  # of a step, overshoots that differ by less; times to settle 
 
 @record
 class ScheduledPIDDesign:
-    """The most integral action whose frozen loops keep |S|, |T| and the effort within bounds over the whole schedule.
+    """The least variance of outputs under noise and load steps, with |S|, |T| and the effort of all frozen loops within bounds.
 
     sensitivity, complementary: largest |S|, |T|; effort: largest |Q| as a multiple of the least that is needed. knots: schedule
     values with gains of their own, their number or the values, of several schedule variables for all or for each (see
@@ -46,7 +46,9 @@ class ScheduledPIDDesign:
     is held without the integral. filter [s]: of the derivative, default two samples. setpoint_weight: share of the set-point in
     the proportional part. feedforward: whether a new set-point commands at once what holds it. reference_model [rad/s]: bandwidth
     of what a set-point goes through by output, infinite for nothing; where none is given `on` chooses, see `calmed`. slew [1/s]:
-    largest rate of a set-point by output. Margins are the same with all of these. robust_to: models that must be kept too.
+    largest rate of a set-point by output. Margins are the same with all of these. objective: "variance", or "integral" for the
+    most integral action. load: size of load steps by input, each one on average every load_every s; size: deviations that count
+    as equally large by output; see `design_pid` for what is left out. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
         array([[0.32]])
@@ -66,6 +68,10 @@ class ScheduledPIDDesign:
     feedforward: bool = True
     reference_model: Numbers = field(default_factory=dict)
     slew: Numbers = field(default_factory=dict)
+    objective: str = "variance"
+    load: Numbers = field(default_factory=dict)
+    load_every: float | None = None
+    size: Numbers = field(default_factory=dict)
     robust_to: tuple[LPVModel, ...] = ()
 
     def __post_init__(self):
@@ -74,6 +80,15 @@ class ScheduledPIDDesign:
         if not 0.0 <= self.setpoint_weight <= 1.0:
             mend = "the share of the set-point in the proportional part, 0 to 1"
             raise InputError(f"setpoint_weight {self.setpoint_weight:g}", mend=mend)
+        check_known("objective", self.objective, OBJECTIVES)
+        if self.load_every is not None and not 0.0 < self.load_every < np.inf:
+            raise InputError(f"load_every {self.load_every:g}", mend="seconds from one load step to the next, on average")
+        for name, size in self.load.items():
+            if not 0.0 <= size < np.inf:
+                raise InputError(f"load {size:g}", channel=name, mend="the size of a step, 0 for none")
+        for name, size in self.size.items():
+            if not 0.0 < size < np.inf:
+                raise InputError(f"size {size:g}", channel=name, mend="a deviation that counts as one: a number above 0")
         for key, unit in (("reference_model", "a bandwidth in rad/s"), ("slew", "a largest rate per second")):
             for name, value in getattr(self, key).items():
                 if not value > 0.0:
@@ -93,7 +108,9 @@ class ScheduledPIDDesign:
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
         return design_pid(
             model, knots=self.knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
-            robust_to=self.robust_to, say=progress,
+            robust_to=self.robust_to, objective=self.objective, load_every=self.load_every, say=progress,
+            load=by_channel("input", self.load, model.inputs, model.name, np.nan),
+            scale=by_channel("output", self.size, model.outputs, model.name, np.nan),
         )  # fmt: skip
 
     def on(self, model: LPVModel, plant: Plant | None = None, *, accept: bool = False) -> ScheduledPID:

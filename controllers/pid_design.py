@@ -1,9 +1,10 @@
 """From an identified LPV model to a scheduled PID whose frozen loops keep their bounds over the whole schedule.
 
 First every knot alone, which says what can be reached there; then one program for all, with the surface's coefficients as
-variables, that brings every point as near as it can to that. Then the margins are computed anew, between all frequencies and
-four times finer in the schedule; where they fail, the point and the frequency join the program. A law that does not keep its
-bounds there is refused.
+variables. The goal is the least variance of the outputs (`controllers.variance`), or the most integral action, at every point as
+near as it can be to what is reached there alone (`controllers.tuning`). Then the margins are computed anew, between all
+frequencies and four times finer in the schedule; where they fail, the point and the frequency join the program. A law that does
+not keep its bounds there is refused.
 
 Frozen margins say nothing about a schedule that moves fast; that is a matter of robustness, not of this design.
 """
@@ -15,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from controllers.scheduled_pid import ScheduledPID, parts
-from controllers.tuning import Tuned, Tuning, tune
+from controllers.tuning import Task, Tuning, tune
+from controllers.variance import Disturbed, Variance, quietest
 from workbench.basis import CONSTANT, Basis, PiecewiseLinear, Products
 from workbench.data import Channel
-from workbench.errors import InputError
+from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel, check_schedule_from_outside, mesh, one_or_all
 from workbench.records import field, record
 from workbench.robustness.frozen import DEFAULT, PEAKS, Bounds, Margins, around, frequencies, resonant, worst_margins
@@ -28,13 +30,29 @@ BETWEEN = 4  # schedule values checked per value in the program
 ROOM = 5e-3  # by which the programs keep the bounds more than asked, for what lies between
 ENOUGH, REFINED = 2e-3, 1e-2  # gain of a step below which a design is done; a refined one
 REFINEMENTS = 6
+OBJECTIVES = ("variance", "integral")  # least variance under noise and load steps; most integral action
+# a usual load step moves an output by so many standard deviations of the one-step error, or is this share of what the input's
+# limits leave, whichever is larger; one comes every so many times as long as the machine takes to settle
+VISIBLE, SHARE, RARE = 6.0, 0.01, 10.0
+SHARES = 1.0, 0.5, 0.2, 0.05  # of the law with most integral action, from where the least variance is sought
+LEFT, POINTS = 0.05, 1000  # of a step response when it has settled; samples of it that are looked at
 
 Say = Callable[[str], None]
 
 
 @record
+class Loads:
+    """Steps of the inputs (nu,) that a design reckons with, each one on average every so many seconds."""
+
+    size: np.ndarray = field("nu", low=0.0)
+    every: float = field("", unit="s", low=1e-12)
+
+
+@record
 class FrozenPoint:
-    """x+ = A x + B u, y = C x + D u: the model at one schedule value, outputs in units of `scale`."""
+    """x+ = A x + B u + K e, y = C x + D u + e, e of covariance `noise`: the model at one schedule value, its frequency response
+    with outputs in units of `scale`.
+    """
 
     rho: Any
     dt: float = field("", unit="s")
@@ -43,6 +61,14 @@ class FrozenPoint:
     C: np.ndarray = field("ny nx")
     D: np.ndarray = field("ny nu")
     scale: np.ndarray = field("ny")
+    K: np.ndarray = field("nx ny")
+    noise: np.ndarray = field("ny ny")
+
+    def disturbed(self, loads: Loads) -> Disturbed:
+        """With noise and load steps, outputs in units of `scale`."""
+        C, D = self.C / self.scale[:, None], self.D / self.scale[:, None]
+        noise = self.noise / np.outer(self.scale, self.scale)
+        return Disturbed(self.A, self.B, C, D, self.K * self.scale, noise, loads.size**2 * self.dt / loads.every)
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """C (exp(j omega dt) - A)^-1 B + D, (N, ny, nu)."""
@@ -59,6 +85,19 @@ class FrozenPoint:
         """dP/ds at s = 0, (ny, nu), z = 1 + s dt."""
         I_A = np.eye(len(self.A)) - self.A
         return -self.dt * (self.C @ np.linalg.solve(I_A, np.linalg.solve(I_A, self.B))) / self.scale[:, None]
+
+    @property
+    def settling(self) -> float:
+        """Seconds after which every step response stays within LEFT of where it ends; of a slow plant every so many samples."""
+        I_A = np.eye(len(self.A)) - self.A
+        samples = np.log(1e-3) / np.log(np.clip(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1e-3, 1.0 - 1e-9))
+        every = int(np.ceil(samples / POINTS))
+        x, left, stride = np.linalg.solve(I_A, self.B), [], np.linalg.matrix_power(self.A, every)
+        for _ in range(POINTS):
+            left.append(np.abs(self.C @ x))
+            x = stride @ x
+        late = np.any(np.array(left) > LEFT * np.abs(self.gain * self.scale[:, None]), axis=(1, 2))
+        return self.dt * every * (POINTS - int(np.argmax(late[::-1])) if late.any() else 1)
 
     def poles(self, Kp: np.ndarray, Ki: np.ndarray, Kd: np.ndarray, Tf: float) -> np.ndarray:
         """Poles of the loop with these gains (nu, ny), for outputs in units of `scale`.
@@ -85,7 +124,9 @@ class PIDDesign:
 
     knots (n), of several schedule variables (n, ns). low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the
     same of the law for that knot only. scale (ny): what the outputs were counted in. Ka [s]: feedforward of the rates of
-    reference models, for when the law is given some.
+    reference models, for when the law is given some. deviation, least (n, ny): standard deviations of the outputs at the knots
+    under noise and `loads`, and under the linear law, of whatever order and margins, that makes the sum of their squares least,
+    outputs in units of `scale`; None where outputs see the command of their own sample.
 
         >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
         >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
@@ -93,6 +134,7 @@ class PIDDesign:
     """
 
     law: ScheduledPID
+    objective: str
     bounds: Bounds
     margins: Margins
     knots: np.ndarray = field("n ...")
@@ -100,6 +142,9 @@ class PIDDesign:
     alone: np.ndarray = field("n")
     scale: np.ndarray = field("ny")
     Ka: np.ndarray = field("m nu ny", unit="s")
+    loads: Loads = field()
+    deviation: np.ndarray = field("n ny")
+    least: np.ndarray | None = None
 
     def following(self, bandwidth: np.ndarray | float, slew: np.ndarray | float = np.inf) -> ScheduledPID:
         """The law with reference models of this bandwidth (ny,) [rad/s], infinite for none, and slew limits (ny,) [1/s].
@@ -137,6 +182,9 @@ def design_pid(
     setpoint: Sequence[float] | np.ndarray | None = None,
     robust_to: Sequence[LPVModel] = (),
     scale: np.ndarray | None = None,
+    objective: str = "variance",
+    load: np.ndarray | None = None,
+    load_every: float | None = None,
     say: Say = lambda _: None,
 ) -> PIDDesign:
     """A scheduled PID for `model` whose frozen loops keep `bounds` over the schedule range, for every model in `robust_to` too.
@@ -145,37 +193,47 @@ def design_pid(
     the gains are linear in each between the points of their lattice. One knot, or a model without schedule, gives a fixed PID,
     tuned there and checked there. Default: KNOTS over one variable, FEWER over each of several. setpoint (ny,): the usual
     set-point, which the law holds without its integral; default: the operating point's. scale (ny,): outputs that
-    count as equally large; default: what unit inputs move in the middle of the range.
+    count as equally large; default, also where it is NaN: what unit inputs move in the middle of the range.
+
+    objective: "variance", the least sum of the squares of the outputs, in units of `scale`, under the model's noise and steps of
+    its inputs of sizes `load` (nu,), one of each every `load_every` s on average; or "integral", the most integral action. Where
+    no load or time is given (None, NaN) they are usual ones, see VISIBLE.
+
     Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
     """
     for own in (model, *robust_to):
         check_schedule_from_outside(own, "the design of a PID")
     axes = _knots(model, knots)
-    plan = _Plan(model, (model, *robust_to), axes, structure or Structure(), bounds, scale)
-    grid = plan.grid
+    check_known("objective", objective, OBJECTIVES)
+    plan = _Plan(model, (model, *robust_to), axes, structure or Structure(), bounds, scale, load, load_every)
+    grid, quiet = plan.grid, objective == "variance"
     held = plan.held(setpoint)
     plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), held)  # refuses limits that cross, before any work
     omega = plan.frequencies()
-    first = []
+    alone, knots = [], []
     for rho in grid:
-        first.append(plan.tuned([rho], np.ones((1, 1)), omega))
-        say(f"{plan.place(rho)}: integral action {first[-1].low_frequency.min():.3g} 1/s")
-    alone = np.array([own.low_frequency.min() for own in first])
-    X = np.concatenate([own.X for own in first], axis=1)
+        first = tune(plan.tuning([rho], np.ones((1, 1)), omega), enough=ENOUGH)
+        alone.append(first.low_frequency.min())
+        knots.append(plan.quietest_alone(rho, omega, [*(share * first.X for share in SHARES), *knots[-1:]]) if quiet else first.X)
+        say(f"{plan.place(rho)}: up to {alone[-1]:.3g} 1/s of integral action")
+    X = np.concatenate(knots, axis=1)
     lines = _finer(axes, 2)
     rhos, path = mesh(lines), [X]
     for attempt in range(REFINEMENTS):
         if len(grid) > 1 or attempt:
-            goals = np.exp(plan.basis(rhos) @ np.log(alone))
-            found = plan.tuned(rhos, plan.basis(rhos), omega, goals, path[::-1], REFINED if attempt else ENOUGH)
-            X, path = found.X, found.path
+            tuning = plan.tuning(rhos, plan.basis(rhos), omega, np.exp(plan.basis(rhos) @ np.log(alone)))
+            path = plan.improved(tuning, path, REFINED if attempt else ENOUGH, quiet)
+            X = path[-1]
         law, checked = plan.law(X, held), mesh(_finer(lines, BETWEEN))
         margins = plan.margins(law, checked)
         bad = margins.broken(bounds)
         if not bad.any():
             reached = plan.low_frequency(law)
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
-            return PIDDesign(law, bounds, margins, grid, reached, alone, plan.scale, plan.rates(law.Kr))
+            return PIDDesign(
+                law, objective, bounds, margins, grid, reached, np.array(alone), plan.scale, plan.rates(law.Kr),
+                plan.loads, *plan.deviations(X),
+            )  # fmt: skip
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
         worst = plan.worst(margins, lines)
         rhos = np.unique(np.concatenate([rhos, checked[worst]]), axis=0)
@@ -236,7 +294,7 @@ class _Plan:
 
     def __init__(
         self, model: LPVModel, models: Sequence[LPVModel], axes: Sequence[np.ndarray], structure: Structure, bounds: Bounds,
-        scale: np.ndarray | None,
+        scale: np.ndarray | None, load: np.ndarray | None, load_every: float | None,
     ):  # fmt: skip
         self.model, self.models, self.structure, self.bounds = model, models, structure, bounds
         self.axes, self.grid = axes, mesh(axes)
@@ -246,11 +304,17 @@ class _Plan:
                 raise InputError("other inputs, outputs, schedule or sample time than the first model", file=other.name)
         self.fixed = len(grid) == 1
         middle = np.array([self.frozen(model, rho, np.ones(len(model.outputs))).gain for rho in grid]).mean(axis=0)
-        self.scale = np.linalg.norm(middle, axis=1) if scale is None else np.asarray(scale, dtype=float)
+        usual = np.linalg.norm(middle, axis=1)
+        self.scale = usual if scale is None else np.where(np.isnan(scale), usual, scale)
         if not np.all(self.scale > 0.0):
             dead = model.outputs[int(np.argmin(self.scale))].name
             raise InputError("no input moves it in the steady state", file=model.name, channel=dead, mend="leave this output out")
         self.Tf = 2.0 * model.dt if structure.Tf is None else structure.Tf
+        self.loads = self._loads(load, load_every)
+
+    def at_knots(self) -> list[FrozenPoint]:
+        """The model alone at every knot."""
+        return [self.frozen(self.model, rho, self.scale) for rho in self.grid]
 
     def frequencies(self) -> np.ndarray:
         """Where the programs look: evenly, and around what a plant resonates at."""
@@ -263,7 +327,8 @@ class _Plan:
         return self.model.named(rho) or self.model.name
 
     def frozen(self, model: LPVModel, rho: Any, scale: np.ndarray) -> FrozenPoint:
-        A, B, C, D = model.freeze(rho if model.schedules else None)
+        at = rho if model.schedules else None
+        A, B, C, D = model.freeze(at)
         radius = np.abs(np.linalg.eigvals(A)).max(initial=0.0)
         if radius >= 1.0:
             raise InputError(
@@ -271,7 +336,7 @@ class _Plan:
                 file=model.name,
                 mend="identify another model, or cut the schedule range",
             )
-        return FrozenPoint(rho if model.schedules else None, model.dt, A, B, C, D, scale)
+        return FrozenPoint(at, model.dt, A, B, C, D, scale, *model.disturbance(at))
 
     def parts(self, omega: np.ndarray) -> np.ndarray:
         return parts(omega, self.model.dt, self.Tf)[:, : 3 if self.structure.derivative else 2]
@@ -284,8 +349,8 @@ class _Plan:
     def basis(self, rhos: np.ndarray) -> np.ndarray:
         return np.ones((len(rhos), 1)) if self.fixed else self.surface()(rhos)
 
-    def tuned(self, rhos, weights, omega, goals=None, starts=(), enough=ENOUGH) -> Tuned:
-        """One design for every model at every one of these schedule values; from one of `starts` where that keeps the bounds."""
+    def tuning(self, rhos, weights, omega, goals=None) -> Tuning[FrozenPoint]:
+        """What one design tunes: every model at every one of these schedule values."""
         n = len(self.models)
         plants = [self.frozen(model, rho, self.scale) for rho in rhos for model in self.models]
         weights = np.repeat(weights, n, axis=0)
@@ -298,11 +363,53 @@ class _Plan:
             )
             return around(resonant(poles), self.model.dt) if np.abs(poles).max() < 1.0 else None
 
-        tuning = Tuning(
+        return Tuning(
             plants, weights, self.parts, omega, self.bounds, goals=None if goals is None else np.repeat(goals, n),
             allowed=self.structure.allowed, closed=closed, room=ROOM,
         )  # fmt: skip
-        return tune(tuning, starts=starts, enough=enough)
+
+    # ---- noise and load steps --------------------------------------------------------------------------------------------
+
+    def _loads(self, size: np.ndarray | None, every: float | None) -> Loads:
+        """Load steps as given, the rest usual ones."""
+        points = self.at_knots()
+        gains = np.array([np.abs(own.gain) for own in points]).mean(axis=0)
+        noise = np.sqrt(np.diagonal(points[0].noise)) / self.scale
+        unit = noise if noise.any() else np.ones(len(noise))
+        usual = VISIBLE / (gains / np.maximum(unit, 1e-9 * unit.max())[:, None]).max(axis=0)
+        low, high = self.structure.low, self.structure.high
+        if low is not None and high is not None:
+            width = np.subtract(high, low)
+            usual = np.maximum(usual, np.where(np.isfinite(width), SHARE * width, 0.0))
+        given = usual if size is None else np.where(np.isnan(size), usual, size)
+        return Loads(given, RARE * max(own.settling for own in points) if every is None else every)
+
+    def variance(self, plants: Sequence[FrozenPoint], weights: np.ndarray) -> Variance:
+        return Variance([own.disturbed(self.loads) for own in plants], weights, self.model.dt, self.Tf)
+
+    def improved(
+        self, tuning: Tuning[FrozenPoint], path: Sequence[np.ndarray], enough: float, quiet: bool
+    ) -> Sequence[np.ndarray]:
+        """Gains within the bounds that lead from the last of `path` to what the objective asks for."""
+        task, variance = Task(tuning), self.variance(tuning.plants, tuning.weights)
+        if quiet and (found := quietest(variance, task, path[-1:])) is not None:
+            return [found]
+        calm = list(tune(tuning, starts=path[::-1], enough=enough).path)
+        return [found] if quiet and (found := quietest(variance, task, calm[-1:])) is not None else calm
+
+    def quietest_alone(self, rho: Any, omega: np.ndarray, starts: Sequence[np.ndarray]) -> np.ndarray:
+        """The gains of least variance for one knot, reached from these; the first where none is."""
+        tuning = self.tuning([rho], np.ones((1, 1)), omega)
+        found = quietest(self.variance(tuning.plants, tuning.weights), Task(tuning), starts)
+        return starts[0] if found is None else found
+
+    def deviations(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Standard deviations (m, ny) of the outputs at the knots, in their units, and under the best of all linear laws."""
+        points = self.at_knots()
+        reached = self.variance(points, self.basis(self.grid)).covariance(X)
+        least = [own.disturbed(self.loads).least() for own in points]
+        spread = lambda own: self.scale * np.sqrt(np.diagonal(np.array(own), axis1=1, axis2=2))  # noqa: E731
+        return spread(reached), None if any(own is None for own in least) else spread(least)
 
     def law(self, X: np.ndarray, held: np.ndarray) -> ScheduledPID:
         """The law with these parts; at rest at `held` (m, ny) it needs no integral."""
@@ -349,8 +456,7 @@ class _Plan:
         """Ka (m, nu, ny) at every knot: P(s) (Kr + Ka s) is P(0) Kr but for s^2, where entries may differ from 0 as near as they
         allow.
         """
-        plants = [self.frozen(self.model, rho, self.scale) for rho in self.grid]
-        return np.array([self._nearest(own.gain, -own.slope @ K) for own, K in zip(plants, Kr, strict=True)])
+        return np.array([self._nearest(own.gain, -own.slope @ K) for own, K in zip(self.at_knots(), Kr, strict=True)])
 
     def _nearest(self, gain: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """K (nu, n) with gain K = wanted (ny, n), or what comes nearest to it with the entries that may differ from 0."""

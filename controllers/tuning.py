@@ -25,7 +25,7 @@ and calmer ones with at most half of its effort, as laws for tighter bounds have
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -64,6 +64,9 @@ class Frozen(Protocol):
         ...
 
 
+P = TypeVar("P", bound=Frozen)
+
+
 @record
 class Tuned:
     """Gains X (nq, m, nu, ny) of the parts of the law, and per plant t_i = sigma_min(P(0) Ki) and the peaks reached.
@@ -80,7 +83,7 @@ class Tuned:
 
 
 @record
-class Tuning:
+class Tuning(Generic[P]):
     """What is tuned: a law on plants, within bounds.
 
     weights (n, m): basis functions at the plants' schedule values. parts(omega) (N, nq): what the gains are multiplied with,
@@ -91,7 +94,7 @@ class Tuning:
     room: the programs keep the bounds by this share more, for what lies between their frequencies.
     """
 
-    plants: Sequence[Frozen]
+    plants: Sequence[P]
     weights: np.ndarray
     parts: Callable[[np.ndarray], np.ndarray]
     omega: np.ndarray
@@ -109,7 +112,7 @@ def tune(tuning: Tuning, *, starts: Sequence[np.ndarray] = (), enough: float = 1
     begins anew, several times, and the best is taken. enough: relative gain of t in a step below which the design is done.
     Raises InputError where P(0) leaves no integral action, or where no start keeps the bounds.
     """
-    task = _Task(tuning)
+    task = Task(tuning)
     begun = task.from_given(starts) or task.starts()
     first = ROUNDS if len(begun) == 1 or len(task.free[0]) <= FEW else FIRST
     tried = [task.climbed([X], enough, first) for X in begun]
@@ -118,7 +121,7 @@ def tune(tuning: Tuning, *, starts: Sequence[np.ndarray] = (), enough: float = 1
     return Tuned(path[-1], task.low_frequency(path[-1]), task.peaks(path[-1]), steps, np.array(path))
 
 
-class _Task:
+class Task:
     """The programs of one design: plants and parts at all frequencies, and the bounds with room to spare."""
 
     def __init__(self, tuning: Tuning):
@@ -191,6 +194,46 @@ class _Task:
     def peaks(self, X: np.ndarray) -> np.ndarray:
         return self._norms(X).max(axis=1)
 
+    def sizes(self, X: np.ndarray) -> np.ndarray:
+        """What each variable is counted in: what every part does at the crossover sets the scale of its gains."""
+        gain = np.linalg.norm(self._laws(X) @ self.P, axis=(-2, -1)).mean(axis=0)
+        own = np.abs(self.parts[np.abs(np.log(gain)).argmin()])[:, None, None, None]
+        return np.maximum(np.abs(X), 0.1 * (np.abs(X) * own).max() / own)[self.free]
+
+    def penalty(self, X: np.ndarray, room: float = 0.0) -> tuple[float, np.ndarray]:
+        """Sum over frequencies of max(0, |M| / ((1 - room) limit) - 1)^2 for M = S, T, Q, mean over the plants, and its gradient.
+
+        With singular vectors u, v of M: d|M| = Re(u* dM v), dS = -S dL S, dT = -dS, dQ = S dK (I + P K)^-1.
+        """
+        P, K = self.P, self._laws(X)
+        n, _, ny, nu = P.shape
+        S = np.linalg.inv(np.eye(nu) + K @ P)  # at the input
+        So = np.eye(ny) - P @ S @ K  # (I + P K)^-1
+        limits = self.limits * (1.0 - room)
+        sensitivity = S if self.at_input else So
+        value, gradient = 0.0, np.zeros(self.shape)
+        for kind, M in enumerate((sensitivity, np.eye(sensitivity.shape[-1]) - sensitivity, S @ K)):
+            limit = limits[:, kind, None]
+            i, w = np.nonzero(np.linalg.norm(M, axis=(-2, -1)) > limit)  # the spectral norm is no larger than this one
+            left, sigma, right = np.linalg.svd(M[i, w], full_matrices=False)
+            over = np.maximum(sigma[:, 0] / limits[i, kind] - 1.0, 0.0)
+            # d|M| = Re(a* dK b)
+            a, b = left[:, :, :1], _adjoint(right[:, :1])
+            own, outer, plant = S[i, w], So[i, w], P[i, w]
+            if kind == 2:
+                a, b = _adjoint(own) @ a, outer @ b
+            elif self.at_input:  # dL = dK P
+                a, b = _adjoint(own) @ a, plant @ own @ b
+            else:  # dL = P dK
+                a, b = _adjoint(outer @ plant) @ a, outer @ b
+            sign = -1.0 if kind == 0 else 1.0
+            value += float(over @ over)
+            slope = 2.0 * sign * over / limits[i, kind]
+            gradient += np.einsum(
+                "m,mq,mj,mab->qjab", slope, self.parts[w], self.weights[i], np.conj(a) @ np.swapaxes(b, 1, 2)
+            ).real
+        return value / n, gradient / n
+
     def stable(self, X: np.ndarray) -> bool:
         return self.closed is None or self.closed(X) is not None
 
@@ -202,6 +245,12 @@ class _Task:
             return True
         turning = self.closed(X)
         return turning is not None and (len(turning) == 0 or bool(self._elsewhere(X, turning).max() <= 1.0 + SLACK))
+
+    def look_closer(self, X: np.ndarray) -> None:
+        """Have the bounds kept where the poles of the loops turn too, if gains break them there."""
+        turning = self.closed(X) if self.closed else None
+        if turning is not None and len(turning):
+            self._look_at(turning[np.any(self._elsewhere(X, turning) > 1.0 + SLACK, axis=(0, 2))])
 
     def _elsewhere(self, X: np.ndarray, omega: np.ndarray) -> np.ndarray:
         """`excess` at other frequencies."""
@@ -359,11 +408,7 @@ class _Task:
         return K @ self.P if self.at_input else self.P @ K
 
     def _solved(self, X: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
-        # what every part does at the crossover sets the scale of its gains
-        gain = np.linalg.norm(self._laws(X) @ self.P, axis=(-2, -1)).mean(axis=0)
-        own = np.abs(self.parts[np.abs(np.log(gain)).argmin()])[:, None, None, None]
-        size = np.maximum(np.abs(X), 0.1 * (np.abs(X) * own).max() / own)
-        scale = size[self.free]
+        scale = self.sizes(X)
         limits = [cone for F, f in self._inequalities(X, chosen, scale) for cone in cones(F, f)]
         goal = np.append(np.zeros(len(scale)), 1.0)  # the gains in units of `scale`, and t
         x = conic(goal, limits, ACCURACY)  # an inaccurate answer is looked at, not believed

@@ -66,6 +66,7 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
         over = worst_margins(found.law, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
+    say(_deviations_said(found, model))
     if said := _setpoints_said(found.law, model, wanted, trial):
         say(said)
     _say_limits(found.law, model, say)
@@ -79,8 +80,10 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     page = Report(title, f"{ended(trial.sentence)} {ended(_worst_said(found, over, model))}", (Section("Design", pictures),))
     say(f"pictures -> {write_report(page, folder)}")
     result = {
-        "kind": kind, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
-        "integral_action": {"reached": found.low_frequency, "alone": found.alone}, "trial": vars(trial),
+        "kind": kind, "objective": found.objective, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
+        "integral_action": {"reached": found.low_frequency, "alone": found.alone},
+        "deviation": {"loads": vars(found.loads), "reached": found.deviation, "best_linear_law": found.least},
+        "trial": vars(trial),
     }  # fmt: skip
     read = [options.model, *options.robust_to, *(chosen.files if chosen else ())]
     return _finished(options, folder, path, result, read, say) or code
@@ -203,6 +206,7 @@ def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesig
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
         filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
         reference_model=_given(options.reference_model), slew=_given(options.slew),
+        objective=options.objective, load=_given(options.load), load_every=options.load_every, size=_given(options.size),
         robust_to=tuple(load_model(path) for path in options.robust_to),
     )  # fmt: skip
 
@@ -337,7 +341,7 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
                 f"{over.radius[i]:18.4f}"
             )
     say(_worst_said(found, over, model))
-    if len(found.knots) > 1:
+    if len(found.knots) > 1 and found.objective == "integral":
         share = (found.low_frequency / found.alone).min()
         say(f"integral action: at least {share:.0%} of what a law made for each knot alone reaches")
     elif over.broken(bounds).any():
@@ -347,6 +351,20 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
         )
     say(f"largest further delay of one command: {1e3 * over.delay.min():.0f} ms, {over.delay.min() / model.dt:.1f} samples")
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
+
+
+def _deviations_said(found: PIDDesign, model: LPVModel) -> str:
+    """How far noise and load steps move the outputs, and what is left for any other linear law."""
+    steps = ", ".join(f"{c.name} {size:.3g} {c.unit}".rstrip() for c, size in zip(model.inputs, found.loads.size, strict=True))
+    noise = "the model's noise and " if model.noise is not None and np.any(model.noise) else ""
+    over = " over the schedule" if len(found.knots) > 1 else ""
+
+    def told(deviation: np.ndarray) -> str:
+        ends = zip(model.outputs, deviation.min(axis=0), deviation.max(axis=0), strict=True)
+        return ", ".join(f"{c.name} {' to '.join(dict.fromkeys((f'{a:.3g}', f'{b:.3g}')))} {c.unit}".rstrip() for c, a, b in ends)
+
+    said = f"RMS under {noise}load steps ({steps}; every {found.loads.every:.3g} s): {told(found.deviation)}{over}"
+    return said if found.least is None else f"{said}\n  the best linear law of any order, margins aside: {told(found.least)}"
 
 
 def _shown(over: Margins, model: LPVModel) -> np.ndarray:

@@ -122,6 +122,34 @@ def _design(sub: argparse.ArgumentParser) -> None:
         "--effort", type=float, default=3.0, metavar="M", help="largest control effort, in the least that is needed (default 3)"
     )
     sub.add_argument(
+        "--objective",
+        default="variance",
+        metavar="O",
+        help="within these margins: variance, the least of the outputs under the model's noise and load steps (default), or "
+        "integral, the most integral action",
+    )
+    sub.add_argument(
+        "--load",
+        action="append",
+        default=[],
+        metavar="U=V,..",
+        help="size of load steps at an input (default: six standard deviations of the model's error at an output, or 1 %% of the "
+        "input's range, whichever is more)",
+    )
+    sub.add_argument(
+        "--load-every",
+        type=float,
+        metavar="S",
+        help="seconds from one load step to the next (default: ten times as the machine settles)",
+    )
+    sub.add_argument(
+        "--size",
+        action="append",
+        default=[],
+        metavar="Y=V,..",
+        help="outputs that count as equally large (default: by unit inputs)",
+    )
+    sub.add_argument(
         "--setpoint", action="append", default=[], metavar="Y=V,..", help="usual set-point, which the law holds without an error"
     )
     for name, text in (("low", "lowest command"), ("high", "highest command"), ("rate", "largest rate of a command, per second")):

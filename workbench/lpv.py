@@ -262,6 +262,15 @@ class LPVModel:
         weight = self.still(self.clipped(value)[None])[0]
         return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
 
+    def disturbance(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        """K (nx, ny) and the covariance (ny, ny) of e in x+ = A x + B u + K e, y = C x + D u + e; zeros where nobody knows."""
+        ny = len(self.outputs)
+        noise = np.zeros((ny, ny)) if self.noise is None else self.noise
+        if self.predictor is None:
+            return np.zeros((self.order, ny)), noise
+        value = np.asarray(self.middle if rho is None else rho, dtype=float)
+        return np.tensordot(self.still(self.clipped(value)[None])[0], self.predictor.K, 1), noise
+
     def linearise(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C, D of small motions at a schedule value: those of `freeze`, or where the schedule is an output those about the
         equilibrium at which that output is rho.

@@ -124,13 +124,20 @@ def judge(plant: Drawn, gains: np.ndarray) -> Judged:
 
 def _closed(plant: Drawn, gains: np.ndarray) -> np.ndarray:
     """Poles of the loops with these laws, (L n)."""
+    return _roots(_denominators(plant, gains))
+
+
+def _parts(plant: Drawn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What Kp, Ki and Kd are multiplied with, over (z - 1) ((Tf + dt) z - Tf)."""
     dt, Tf = plant.dt, 2.0 * plant.dt
     filtered, integral = np.array([Tf + dt, -Tf]), np.array([1.0, -1.0])
-    parts = (np.polymul(integral, filtered), dt * filtered, np.polymul(integral, integral))
-    whole = len(plant.den) + 2
+    return np.polymul(integral, filtered), dt * filtered, np.polymul(integral, integral)
+
+
+def _denominators(plant: Drawn, gains: np.ndarray) -> np.ndarray:
+    parts, whole = _parts(plant), len(plant.den) + 2
     numerators = np.stack([np.pad(np.polymul(plant.num, p), (whole, 0))[-whole:] for p in parts])
-    closed = np.polymul(plant.den, parts[0]) + gains @ numerators
-    return _roots(closed)
+    return np.polymul(plant.den, parts[0]) + gains @ numerators
 
 
 def _roots(polynomials: np.ndarray) -> np.ndarray:
@@ -143,8 +150,28 @@ def _roots(polynomials: np.ndarray) -> np.ndarray:
     return np.linalg.eigvals(companion)
 
 
-def best_at_random(plant: Drawn, bounds: list[Asked], random: np.random.Generator, laws: int = LAWS) -> list[float]:
-    """For each of the bounds the largest Ki P(0) among so many stable laws drawn at random; -inf where none keeps them."""
+def variances(plant: Drawn, gains: np.ndarray, load: float) -> np.ndarray:
+    """Variance (L) of y of stable laws, under white noise of variance 1 on it and load steps that add `load` = d^2 dt / T.
+
+    Sums of squares of the responses S to a pulse and P S z / (z - 1) to a step, until they have died away.
+    """
+    parts, found = _parts(plant), []
+    gains = np.atleast_2d(gains)
+    for closed, radius in zip(_denominators(plant, gains), np.abs(_closed(plant, gains)).max(axis=1), strict=True):
+        samples = min(int(np.log(1e-7) / np.log(min(radius, 1.0 - 1e-9))) + len(closed), 10**6)
+        pulse = np.zeros(samples)
+        pulse[0] = 1.0
+        S = signal.lfilter(np.polymul(plant.den, parts[0]), closed, pulse)
+        step = np.polymul(np.polymul(plant.num, [plant.dt * 3.0, -plant.dt * 2.0]), [1.0, 0.0])
+        PS = signal.lfilter(np.pad(step, (len(closed) - len(step), 0)), closed, pulse)
+        found.append(S @ S + load * PS @ PS)
+    return np.array(found)
+
+
+def best_at_random(
+    plant: Drawn, bounds: list[Asked], random: np.random.Generator, laws: int = LAWS, worth=lambda found, _gains: found.action
+) -> list[float]:
+    """For each of the bounds the largest worth, Ki P(0), among so many stable laws drawn at random; -inf where none fits."""
     slowest = np.log(np.abs(np.roots(plant.den)).max() + 1e-12)
     fast, slow = 1.0 / plant.dt, max(-slowest, 1e-4) / plant.dt  # rad/s
     best, seen = np.full(len(bounds), -np.inf), 0
@@ -159,7 +186,8 @@ def best_at_random(plant: Drawn, bounds: list[Asked], random: np.random.Generato
         seen += len(stable)
         found = judge(plant, gains[stable])
         for i, asked in enumerate(bounds):
-            best[i] = max(best[i], found.action[found.kept(asked)].max(initial=-np.inf))
+            kept = found.kept(asked)
+            best[i] = max(best[i], worth(found, gains[stable])[kept].max(initial=-np.inf))
         if seen >= laws:
             break
     return best.tolist()

@@ -59,8 +59,8 @@ def test_a_design_is_the_controller_that_the_command_writes(model, law, tmp_path
 
 
 def test_the_bounds_of_a_design_are_kept(model):
-    calm = ScheduledPIDDesign(sensitivity=1.2, effort=20.0).design(model)
-    brisk = ScheduledPIDDesign(sensitivity=1.6, effort=20.0).design(model)
+    calm = ScheduledPIDDesign(sensitivity=1.2, effort=20.0, objective="integral").design(model)
+    brisk = ScheduledPIDDesign(sensitivity=1.6, effort=20.0, objective="integral").design(model)
     assert calm.margins.sensitivity.max() <= 1.2 + 1e-6
     assert brisk.low_frequency.min() > 1.2 * calm.low_frequency.min()
 
@@ -106,7 +106,7 @@ def test_set_points_overshoot_by_a_fifth_at_most(zeta):
     for key in ("Kp", "Ki", "Kd", "Kr", "u0"):  # what answers to set-points is not in the loop
         np.testing.assert_array_equal(getattr(law, key), getattr(brisk, key))
     assert not brisk.shaped
-    assert overshoot(brisk, zeta) > 0.5
+    assert overshoot(brisk, zeta) > 0.4
     assert overshoot(law, zeta) < 0.2
 
 

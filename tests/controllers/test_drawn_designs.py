@@ -32,7 +32,7 @@ ROUNDING = 1e-4  # by which a peak between the frequencies of the program may pa
 def designed(plant, asked):
     """Kp, Ki, Kd (1 3), within the time that a user waits."""
     begun = time.process_time()
-    law = design_pid(plant.model(), bounds=asked.bounds).law
+    law = design_pid(plant.model(), bounds=asked.bounds, objective="integral").law
     assert time.process_time() - begun < LONGEST, f"{plant} {asked}"
     return np.array([[law.Kp[0, 0, 0], law.Ki[0, 0, 0], law.Kd[0, 0, 0]]])
 
@@ -105,7 +105,7 @@ def test_poles_are_those_of_python_control(feedthrough, Tf):
     A, B, C = np.diag([0.9, 0.6, -0.2]), random.normal(size=(3, 3)), random.normal(size=(2, 3))
     D, scale = feedthrough * random.normal(size=(2, 3)), np.array([2.0, 0.5])
     Kp, Ki, Kd = (random.normal(size=(3, 2)) * size for size in (0.3, 0.5, 0.02))
-    found = FrozenPoint(None, dt, A, B, C, D, scale).poles(Kp, Ki, Kd, Tf)
+    found = FrozenPoint(None, dt, A, B, C, D, scale, np.zeros((3, 2)), np.zeros((2, 2))).poles(Kp, Ki, Kd, Tf)
     law = pid("abc", "de", ("r", "s"), dt, Kp, Ki, Kd, Tf=Tf).at()
     plant = control.ss(A, B, C / scale[:, None], D / scale[:, None], dt)
     expected = control.feedback(plant, control.ss(law.A, -law.B[:, 2:], law.C, -law.D[:, 2:], dt)).poles()
@@ -133,7 +133,7 @@ class Between:
 def test_a_step_that_loses_the_loop_is_never_taken():
     """With frequencies that miss the resonance: without poles the answer may be any loop, with them it is a stable one."""
     plant = Between()
-    point = FrozenPoint(None, 1.0, plant.A, plant.B, plant.C, np.zeros((1, 1)), np.ones(1))
+    point = FrozenPoint(None, 1.0, plant.A, plant.B, plant.C, np.zeros((1, 1)), np.ones(1), np.zeros((2, 1)), np.zeros((1, 1)))
     looked = []
 
     def closed(X):
