@@ -32,6 +32,8 @@ SLOWEST = 10.0 / LONGEST  # of 1 / dt: what has settled well before a run ends
 FROZEN, POINTS = 5, 1000  # schedule values at which they are; samples of a step that are looked at
 SLOWER = 4  # runs at most, each with reference models half as fast where the one before overshoots
 MOVED = 1.0 + 1e-6  # times what the set-point itself would move a command by, that a reference model may
+SUSTAINED = 0.8  # of the limits of commands, that an output of a model that integrates is moved with
+NOTHING = 1e-3  # of what the proportional part makes of an error of a sample's move: a smaller feedforward of a rate is none
 LATER = 1.5  # times as late as the best, from where on slower ones are not tried
 ALIKE = 0.02, 1.1  # of a step, overshoots that differ by less; times to settle that differ by a factor of less
 
@@ -46,12 +48,13 @@ class ScheduledPIDDesign:
     is held without the integral. filter [s]: of the derivative, default two samples. setpoint_weight: share of the set-point in
     the proportional part. feedforward: whether a new set-point commands at once what holds it. reference_model [rad/s]: bandwidth
     of what a set-point goes through by output, infinite for nothing; where none is given `on` chooses, see `calmed`. slew [1/s]:
-    largest rate of a set-point by output. Margins are the same with all of these. objective: "variance", or "integral" for the
+    largest rate of a set-point by output, infinite for none; where none is given, what the limits keep up on a model that
+    integrates. Margins are the same with all of these. objective: "variance", or "integral" for the
     most integral action. load: size of load steps by input, each one on average every load_every s; size: deviations that count
     as equally large by output; see `design_pid` for what is left out. robust_to: models that must be kept too.
 
-        >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
-        array([[0.32]])
+        >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(1)
+        array([[0.6]])
     """
 
     sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
@@ -129,7 +132,7 @@ class ScheduledPIDDesign:
         run could not wait for it.
         """
         usual, (given, slew) = setpoint_of(self.setpoint, model), self._shaping(model)
-        free = np.isnan(given)
+        free, slew = np.isnan(given), np.where(np.isnan(slew), _sustained(found, model, usual), slew)
 
         def run(bandwidth: np.ndarray) -> tuple[PIDDesign, Trial]:
             own = replace(found, law=found.following(bandwidth, slew))
@@ -161,10 +164,28 @@ class ScheduledPIDDesign:
         return np.array([bandwidths[_soonest(*own)] for own in zip(beyond.T, good.T, strict=True)])
 
     def _shaping(self, model: LPVModel) -> tuple[np.ndarray, np.ndarray]:
-        """Bandwidths of the reference models (ny,), NaN where none is given, and slews (ny,)."""
-        given = (self.reference_model, np.nan), (self.slew, np.inf)
-        bandwidth, slew = (by_channel("output", own, model.outputs, model.name, none) for own, none in given)
+        """Bandwidths of the reference models and slews (ny,), NaN where none is given."""
+        given = self.reference_model, self.slew
+        bandwidth, slew = (by_channel("output", own, model.outputs, model.name, np.nan) for own in given)
         return bandwidth, slew
+
+
+def _sustained(found: PIDDesign, model: LPVModel, usual: Sequence[float] | None) -> np.ndarray:
+    """Slews (ny,): on a model that integrates, of an output that goes on as long as a command does, what SUSTAINED of the limits
+    keeps up from the usual set-point; infinite on others.
+    """
+    law, slews = found.law, []
+    if not model.free:
+        return np.full(len(model.outputs), np.inf)
+    for rho, Ka in zip(found.knots, found.Ka, strict=True):
+        gains, phi = law.gains_at(rho), model.operating_point.basis(np.asarray(rho))
+        u = gains.u0 + gains.Kr @ (phi @ model.operating_point.y if usual is None else np.asarray(usual))
+        room = SUSTAINED * np.maximum(np.minimum(law.high - u, u - law.low), 0.0)
+        needed = np.abs(Ka) > NOTHING * law.dt * np.abs(gains.Kp).max()
+        slews.append(
+            np.min(np.where(needed & (room > 0.0)[:, None], room[:, None] / np.where(needed, np.abs(Ka), 1.0), np.inf), axis=0)
+        )
+    return np.min(slews, axis=0)
 
 
 def _answered(law: ScheduledPID, model: LPVModel, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

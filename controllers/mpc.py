@@ -44,6 +44,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, check_schedule_from_outside, ends, lattice, model_from_dict, one_or_all
 from workbench.physics.controller import schedules_of
 from workbench.records import field, record
+from workbench.steady import gain, rests
 
 KIND = "mpc"
 KEPT = 2e-6  # relative slack, of which half are the solvers', up to which a plan is in the tube
@@ -462,18 +463,18 @@ class _Along:
     def at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """z of a machine that stands at y under u."""
         A, B, C = self.matrices(0)
-        moved = np.linalg.solve(np.eye(self.nx) - A, B)
         own = u - self.u0[0]
         if self.at_inputs:
-            acting = np.linalg.solve(C @ moved, y - self.y0[0])
-            return np.concatenate([moved @ acting, acting - own])
+            X, U = rests(A, B, C, np.zeros((len(C), B.shape[1])))
+            return np.concatenate([X @ (y - self.y0[0]), U @ (y - self.y0[0]) - own])
+        moved = np.linalg.solve(np.eye(self.nx) - A, B)
         return np.concatenate([moved @ own, y - self.y0[0] - C @ moved @ own])
 
 
 def default_weights(model: LPVModel, move: float = 0.003) -> Weights:
     """An output counts in units of what unit inputs move it in the middle of the schedule; move: price of a unit move."""
     A, B, C, D = model.freeze(model.middle if model.schedules else None)
-    scale = np.linalg.norm(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D, axis=1)
+    scale = np.linalg.norm(gain(A, B, C, D, model.free), axis=1)
     outputs, file = [c.name for c in model.outputs], model.name
     return weights_by(
         scale, outputs, len(model.inputs), move, when="in the steady state", file=file, mend="leave this output out"

@@ -18,6 +18,7 @@ import numpy as np
 from controllers.scheduled_pid import ScheduledPID, parts
 from controllers.tuning import Task, Tuning, tune
 from controllers.variance import Disturbed, Variance, quietest
+from workbench import steady
 from workbench.basis import CONSTANT, Basis, PiecewiseLinear, Products
 from workbench.data import Channel
 from workbench.errors import InputError, check_known
@@ -31,9 +32,9 @@ ROOM = 5e-3  # by which the programs keep the bounds more than asked, for what l
 ENOUGH, REFINED = 2e-3, 1e-2  # gain of a step below which a design is done; a refined one
 REFINEMENTS = 6
 OBJECTIVES = ("variance", "integral")  # least variance under noise and load steps; most integral action
-# a usual load step moves an output by so many standard deviations of the one-step error, or is this share of what the input's
-# limits leave, whichever is larger; one comes every so many times as long as the machine takes to settle
-VISIBLE, SHARE, RARE = 6.0, 0.01, 10.0
+# a usual load step moves the outputs by so many times what the one-step error is, in units of their scales, or is this share of
+# what the input's limits leave, whichever is larger; one comes every so many times as long as the machine takes to settle
+VISIBLE, SHARE, RARE = 4.0, 0.01, 10.0
 SHARES = 1.0, 0.5, 0.2, 0.05  # of the law with most integral action, from where the least variance is sought
 LEFT, POINTS = 0.05, 1000  # of a step response when it has settled; samples of it that are looked at
 
@@ -51,7 +52,7 @@ class Loads:
 @record
 class FrozenPoint:
     """x+ = A x + B u + K e, y = C x + D u + e, e of covariance `noise`: the model at one schedule value, its frequency response
-    with outputs in units of `scale`.
+    with outputs in units of `scale`. free: whether the model integrates or is unstable anywhere.
     """
 
     rho: Any
@@ -63,6 +64,7 @@ class FrozenPoint:
     scale: np.ndarray = field("ny")
     K: np.ndarray = field("nx ny")
     noise: np.ndarray = field("ny ny")
+    free: bool = False
 
     def disturbed(self, loads: Loads) -> Disturbed:
         """With noise and load steps, outputs in units of `scale`."""
@@ -78,17 +80,28 @@ class FrozenPoint:
 
     @property
     def gain(self) -> np.ndarray:
-        return np.real(self.response(np.zeros(1))[0])
+        """P(0), or what tells as much where that does not exist; see `workbench.steady`."""
+        return steady.gain(self.A, self.B, self.C, self.D, self.free) / self.scale[:, None]
 
-    @property
-    def slope(self) -> np.ndarray:
-        """dP/ds at s = 0, (ny, nu), z = 1 + s dt."""
-        I_A = np.eye(len(self.A)) - self.A
-        return -self.dt * (self.C @ np.linalg.solve(I_A, np.linalg.solve(I_A, self.B))) / self.scale[:, None]
+    def held(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Kr and Ka [s] (nu, ny): u = Kr r + Ka r' makes outputs follow a slow r(t) but for what r'' does; set-point j moves the
+        inputs at which entries[:, j] is true, and outputs follow as near as these let them.
+        """
+        C, D = self.C / self.scale[:, None], self.D / self.scale[:, None]
+        Kr, Ka = np.zeros(entries.shape), np.zeros(entries.shape)
+        for j, own in enumerate(entries.T):
+            A, B, D_own = self.A, self.B[:, own], D[:, own]
+            X, U = steady.rests(A, B, C, D_own)
+            Kr[own, j], Ka[own, j] = U[:, j], steady.follows(A, B, C, D_own, self.dt * X[:, j : j + 1])[:, 0]
+        return Kr / self.scale, Ka / self.scale
 
     @property
     def settling(self) -> float:
-        """Seconds after which every step response stays within LEFT of where it ends; of a slow plant every so many samples."""
+        """Seconds after which every step response stays within LEFT of where it ends, of a slow one at every so many samples; of
+        a plant that integrates what a loop about it may take.
+        """
+        if self.free:
+            return self.dt * np.log(1.0 / LEFT) / steady.BEYOND
         I_A = np.eye(len(self.A)) - self.A
         samples = np.log(1e-3) / np.log(np.clip(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1e-3, 1.0 - 1e-9))
         every = int(np.ceil(samples / POINTS))
@@ -130,7 +143,7 @@ class PIDDesign:
 
         >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
         >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
-        'largest |S| 1.2 at 25 schedule values'
+        'largest |S| 1.2 at 17 schedule values'
     """
 
     law: ScheduledPID
@@ -199,10 +212,16 @@ def design_pid(
     its inputs of sizes `load` (nu,), one of each every `load_every` s on average; or "integral", the most integral action. Where
     no load or time is given (None, NaN) they are usual ones, see VISIBLE.
 
-    Raises InputError where a frozen model is unstable or cannot be moved, or where no law keeps the bounds.
+    Models that integrate, or are unstable, are designed for too; their P(0) is what `workbench.steady` says.
+    Raises InputError where an output cannot be moved, or where no law keeps the bounds.
     """
     for own in (model, *robust_to):
         check_schedule_from_outside(own, "the design of a PID")
+    if len(model.inputs) > len(model.outputs):
+        names = ", ".join(c.name for c in model.inputs)
+        mend = "identify it with as many inputs as outputs, or workbench design mpc"
+        said = f"{len(model.inputs)} inputs ({names}) for {len(model.outputs)} outputs: integrals would drift against each other"
+        raise InputError(said, file=model.name, mend=mend)
     axes = _knots(model, knots)
     check_known("objective", objective, OBJECTIVES)
     plan = _Plan(model, (model, *robust_to), axes, structure or Structure(), bounds, scale, load, load_every)
@@ -231,7 +250,7 @@ def design_pid(
             reached = plan.low_frequency(law)
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
             return PIDDesign(
-                law, objective, bounds, margins, grid, reached, np.array(alone), plan.scale, plan.rates(law.Kr),
+                law, objective, bounds, margins, grid, reached, np.array(alone), plan.scale, plan.rates(),
                 plan.loads, *plan.deviations(X),
             )  # fmt: skip
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
@@ -303,6 +322,8 @@ class _Plan:
             if _interface(other) != _interface(model):
                 raise InputError("other inputs, outputs, schedule or sample time than the first model", file=other.name)
         self.fixed = len(grid) == 1
+        self.every = np.ones((len(model.inputs), len(model.outputs)), dtype=bool)
+        self.entries = self.every if structure.allowed is None else np.asarray(structure.allowed, dtype=bool)
         middle = np.array([self.frozen(model, rho, np.ones(len(model.outputs))).gain for rho in grid]).mean(axis=0)
         usual = np.linalg.norm(middle, axis=1)
         self.scale = usual if scale is None else np.where(np.isnan(scale), usual, scale)
@@ -328,15 +349,7 @@ class _Plan:
 
     def frozen(self, model: LPVModel, rho: Any, scale: np.ndarray) -> FrozenPoint:
         at = rho if model.schedules else None
-        A, B, C, D = model.freeze(at)
-        radius = np.abs(np.linalg.eigvals(A)).max(initial=0.0)
-        if radius >= 1.0:
-            raise InputError(
-                f"the frozen model is unstable at {self.place(rho)}: a pole of modulus {radius:.4f}",
-                file=model.name,
-                mend="identify another model, or cut the schedule range",
-            )
-        return FrozenPoint(at, model.dt, A, B, C, D, scale, *model.disturbance(at))
+        return FrozenPoint(at, model.dt, *model.freeze(at), scale, *model.disturbance(at), model.free)
 
     def parts(self, omega: np.ndarray) -> np.ndarray:
         return parts(omega, self.model.dt, self.Tf)[:, : 3 if self.structure.derivative else 2]
@@ -373,15 +386,17 @@ class _Plan:
     def _loads(self, size: np.ndarray | None, every: float | None) -> Loads:
         """Load steps as given, the rest usual ones."""
         points = self.at_knots()
-        gains = np.array([np.abs(own.gain) for own in points]).mean(axis=0)
-        noise = np.sqrt(np.diagonal(points[0].noise)) / self.scale
-        unit = noise if noise.any() else np.ones(len(noise))
-        usual = VISIBLE / (gains / np.maximum(unit, 1e-9 * unit.max())[:, None]).max(axis=0)
+        gains = np.linalg.norm(np.mean([np.abs(own.gain) for own in points], axis=0), axis=0)
+        noise = float(np.linalg.norm(np.sqrt(np.diagonal(points[0].noise)) / self.scale))
+        usual = np.where(gains > 0.0, VISIBLE * (noise or 1.0) / np.where(gains > 0.0, gains, 1.0), 0.0)
         low, high = self.structure.low, self.structure.high
         if low is not None and high is not None:
             width = np.subtract(high, low)
             usual = np.maximum(usual, np.where(np.isfinite(width), SHARE * width, 0.0))
         given = usual if size is None else np.where(np.isnan(size), usual, size)
+        if not given.any() and not noise:
+            mend = "give a --load, or --objective integral"
+            raise InputError("neither noise nor a load step moves it: no variance is the least", file=self.model.name, mend=mend)
         return Loads(given, RARE * max(own.settling for own in points) if every is None else every)
 
     def variance(self, plants: Sequence[FrozenPoint], weights: np.ndarray) -> Variance:
@@ -443,28 +458,16 @@ class _Plan:
 
     def steady_inputs(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kr (m, nu, ny) and u0 (m, nu) at every knot: u0 + Kr r holds r = held (m, ny), with all entries allowed every r."""
-        model, point = self.model, self.model.operating_point
+        point = self.model.operating_point
         phi = point.basis(self.grid)
         u, y = phi @ point.u, phi @ point.y
-        gains = np.array([self.frozen(model, rho, np.ones(y.shape[1])).gain for rho in self.grid])
-        Kr = np.zeros(gains.swapaxes(1, 2).shape)
-        if self.structure.feedforward:
-            Kr = np.array([self._nearest(gain, np.eye(len(self.scale))) for gain in gains / self.scale[:, None]]) / self.scale
-        return Kr, u + np.einsum("iuy,iy->iu", np.linalg.pinv(gains), held - y) - np.einsum("iuy,iy->iu", Kr, held)
+        whole, Kr = (np.array([own.held(entries)[0] for own in self.at_knots()]) for entries in (self.every, self.entries))
+        Kr *= self.structure.feedforward
+        return Kr, u + np.einsum("iuy,iy->iu", whole, held - y) - np.einsum("iuy,iy->iu", Kr, held)
 
-    def rates(self, Kr: np.ndarray) -> np.ndarray:
-        """Ka (m, nu, ny) at every knot: P(s) (Kr + Ka s) is P(0) Kr but for s^2, where entries may differ from 0 as near as they
-        allow.
-        """
-        return np.array([self._nearest(own.gain, -own.slope @ K) for own, K in zip(self.at_knots(), Kr, strict=True)])
-
-    def _nearest(self, gain: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """K (nu, n) with gain K = wanted (ny, n), or what comes nearest to it with the entries that may differ from 0."""
-        allowed = np.ones(gain.T.shape) if self.structure.allowed is None else np.asarray(self.structure.allowed)
-        K = np.zeros(allowed.shape)
-        for j, entries in enumerate(allowed.T.astype(bool)):  # the inputs that set-point j may move
-            K[entries, j] = np.linalg.pinv(gain[:, entries]) @ wanted[:, j]
-        return K
+    def rates(self) -> np.ndarray:
+        """Ka (m, nu, ny) at every knot."""
+        return np.array([own.held(self.entries)[1] for own in self.at_knots()]) * self.structure.feedforward
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:
         """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""

@@ -7,10 +7,10 @@
     u  = v within `low`, `high` and `rate` from the last command
     z+ = z + dt Ki (m - y) + what keeps z from winding up
 
-Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start begins at rest
-at the first set-point. The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0
-moves u by what u0, Kr m and Kp (b - 1) m move, and not by the gains (both are the same law where rho stands still). As a transfer
-function from e = m - y, with b = c = 1, Kr = Ka = 0 and z = exp(s dt):
+Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start begins at
+rest at the first measurement. The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves
+while e = 0 moves u by what u0, Kr m and Kp (b - 1) m move, and not by the gains (both are the same law where rho stands
+still). As a transfer function from e = m - y, with b = c = 1, Kr = Ka = 0 and z = exp(s dt):
 
     K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf)
 
@@ -78,7 +78,7 @@ class ScheduledPID:
     models; infinite: none. Ka [s] (m, nu, ny): feedforward of the reference models' rates.
 
         >>> law.gains_at(0.0).Ki.round(1), law.gains_at(10.0).Ki.round(1)
-        (array([[5.1]]), array([[18.9]]))
+        (array([[1.5]]), array([[2.1]]))
     """
 
     actuated: tuple[str, ...]
@@ -321,7 +321,7 @@ class ScheduledPID:
     def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any = None) -> tuple[list, list]:
         """(u, memory) on numbers, arrays or symbols."""
         K, at = self._numbers(gains, rho), self._split(state)
-        aim = self._aim(K, at, r)
+        aim = self._aim(K, at, r, y)
         r = aim.m
         direct, f, d = self._direct(K, at, aim, y)
         after, u = [], []
@@ -353,24 +353,24 @@ class ScheduledPID:
         """
         expected, tail = len(self.init()), 3 * len(self.measured)
         if self.shaped and len(state) == expected - tail:
-            state = np.concatenate([state, r, r, np.zeros_like(r)])
+            state = np.concatenate([state, y, y, np.zeros_like(y)])
         elif not self.shaped and len(state) == expected + tail:
             state = state[:expected]
         elif len(state) != expected:
             raise InputError(f"memory of {len(state)} numbers", file=self.name, mend=f"{expected}: that of a law like it")
         K, at = self._numbers(self.gains, rho), self._split(state)
-        aim = self._aim(K, at, r)
+        aim = self._aim(K, at, r, y)
         direct, f, d = self._direct(K, at, aim, y)
         z = [u[i] - own for i, own in enumerate(direct)]
         return np.array([*z, *f, *d, *u, 0.0, 0.0, *aim.memory], dtype=float)
 
-    def _aim(self, K: "_Numbers", at: "_Memory", r: Any) -> "_Aim":
+    def _aim(self, K: "_Numbers", at: "_Memory", r: Any, y: Any) -> "_Aim":
         """What the loop follows: the set-points within their slew, through their reference models."""
         if not self.shaped:
             return _Aim(list(r), [], [])
         s, m, rate = [], [], []
         for j, (a, b, c, d, e, f) in enumerate(zip(*K.reference_model, strict=True)):
-            held, was = (own[j] + at.cold * (r[j] - own[j]) for own in (at.s, at.m))
+            held, was = (own[j] + at.cold * (y[j] - own[j]) for own in (at.s, at.m))
             s.append(_near(held, K.slew[j], r[j]))
             m.append(a * was + b * at.rate[j] + c * s[j])
             rate.append(d * was + e * at.rate[j] + f * s[j])

@@ -24,6 +24,7 @@ from scipy.optimize import minimize
 
 from controllers.tuning import Task
 from workbench.records import field, record
+from workbench.steady import SLOW, gain
 
 DOUBLED = 40  # times a Lyapunov sum is doubled: enough up to a pole of 1 - 1e-11
 GONE, OVER = 1e-10, 1e30  # powers of a matrix that end its sum: it has come to its end, it has none
@@ -67,22 +68,23 @@ class Disturbed:
         outputs: Riccati's equation is not solved in states of any size.
         """
         step = np.sqrt(self.load.max(initial=0.0)) or 1.0
-        X = lyapunov(self.A, step**2 * self.B @ self.B.T + self.K @ self.noise @ self.K.T)
+        A = self.A / max(1.0, np.abs(np.linalg.eigvals(self.A)).max() / (1.0 - SLOW))  # it may integrate
+        X = lyapunov(A, step**2 * self.B @ self.B.T + self.K @ self.noise @ self.K.T)
         unit = float(np.sqrt(np.trace(self.C @ X @ self.C.T + self.noise)))
         x = np.sqrt(np.maximum(np.diagonal(X), SMALL * np.trace(X)))
         A, B, C, K = self.A / x[:, None] * x, step * self.B / x[:, None], self.C * x / unit, self.K / x[:, None] * unit
         return Disturbed(A, B, C, self.D, K, self.noise / unit**2, self.load / step**2), unit
 
     def _least(self) -> np.ndarray | None:
-        steady = self.C @ np.linalg.solve(np.eye(len(self.A)) - self.A, self.B)
-        load = self.load * np.sum(steady**2, axis=0) > SEEN  # what is less moves the outputs by its root at most
+        P0 = gain(self.A, self.B, self.C, self.D)
+        load = self.load * np.sum(P0**2, axis=0) > SEEN  # what is less moves the outputs by its root at most
         driven = self.B[:, load]
         nx, nd = driven.shape
         A = np.block([[self.A, driven], [np.zeros((nd, nx)), np.eye(nd)]])
         C, K = np.pad(self.C, ((0, 0), (0, nd))), np.pad(self.K, ((0, nd), (0, 0)))
         Q, R = K @ self.noise @ K.T, self.noise + SMALL * np.eye(len(C))
         Q[nx:, nx:] += np.diag(self.load[load])
-        goal, price = self.C.T @ self.C / np.sum(steady**2), SMALL * np.eye(self.B.shape[1])
+        goal, price = self.C.T @ self.C / np.sum(P0**2), SMALL * np.eye(self.B.shape[1])
         try:
             P = solve_discrete_are(A.T, C.T, Q, R, s=K @ self.noise)
             S = solve_discrete_are(self.A, self.B, goal, price)
@@ -114,10 +116,10 @@ def lyapunov(F: np.ndarray, W: np.ndarray, *others: np.ndarray) -> Any:
             sums = [sums[0] + F @ sums[0] @ T, *(own + T @ own @ F for own in sums[1:])]
             F = F @ F
             size = np.abs(F).max()
-            if not size > GONE:
-                return sums if others else sums[0]
-            if not size < OVER:
+            if not size < OVER:  # nor is what is no number
                 return None
+            if size < GONE:
+                return sums if others else sums[0]
     return None
 
 

@@ -31,6 +31,7 @@ from workbench.readers import read_file
 from workbench.report.blocks import Report, Section
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
+from workbench.steady import rests
 from workbench.verification.trial import OVERSHOOT, Trial, tried
 
 Say = Callable[[str], None]
@@ -258,8 +259,7 @@ def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | No
     for rho in model.frozen_values(POINTS):
         A, B, C, D = model.freeze(rho)
         phi = model.operating_point.basis(np.array(0.0 if rho is None else rho))
-        gain = C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
-        u.append(phi @ model.operating_point.u + np.linalg.pinv(gain) @ (setpoint - phi @ model.operating_point.y))
+        u.append(phi @ model.operating_point.u + rests(A, B, C, D)[1] @ (setpoint - phi @ model.operating_point.y))
     over = f" over {', '.join(c.name for c in model.schedules)}" if model.schedules else ""
     for c, each, low, high in zip(model.inputs, np.transpose(u), law.low, law.high, strict=True):
         say(f"  the set-point takes {c.name} from {each.min():.4g} to {each.max():.4g} {c.unit}{over}")
@@ -322,11 +322,12 @@ def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
 
 def _described(model: LPVModel) -> str:
     inputs, outputs = (", ".join(c.name for c in channels) for channels in (model.inputs, model.outputs))
+    free = ", taken for one that integrates" * model.free
     ranges = (
         f"{c.name} from {a:.4g} to {b:.4g} {c.unit}".rstrip() for c, (a, b) in zip(model.schedules, model.spans, strict=True)
     )
     over = "".join(f"; {own}" for own in ranges)
-    return f"{model.name}: {outputs} from {inputs}, order {model.order}, sampled every {model.dt:g} s{over}"
+    return f"{model.name}: {outputs} from {inputs}, order {model.order}, sampled every {model.dt:g} s{free}{over}"
 
 
 def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> None:
@@ -341,9 +342,9 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
                 f"{over.radius[i]:18.4f}"
             )
     say(_worst_said(found, over, model))
-    if len(found.knots) > 1 and found.objective == "integral":
+    if len(found.knots) > 1:
         share = (found.low_frequency / found.alone).min()
-        say(f"integral action: at least {share:.0%} of what a law made for each knot alone reaches")
+        say(f"integral action: at least {share:.0%} of the most that these margins allow at each knot alone")
     elif over.broken(bounds).any():
         say(
             f"away from {model.named(found.knots[0])} the fixed law breaks its bounds at "

@@ -133,7 +133,7 @@ def _design(sub: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="U=V,..",
-        help="size of load steps at an input (default: six standard deviations of the model's error at an output, or 1 %% of the "
+        help="size of load steps at an input (default: what moves the outputs by four times the model's error, or 1 %% of the "
         "input's range, whichever is more)",
     )
     sub.add_argument(

@@ -11,6 +11,7 @@ then the last axis of every rho is the variables. A schedule that is one of the 
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from workbench.errors import InputError
 from workbench.files import read_json, write_json
 from workbench.quasi_lpv import linearised, predicted, simulated
 from workbench.records import field, record
+from workbench.steady import integrates
 from workbench.units import check_units
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ MUCH = 0.02  # widths of a schedule range, by which a record may leave it unsaid
 FORGOTTEN = 0.01  # of a start: what is left of it counts as nothing
 TOLD = 2  # values for each state that is to be told from them
 KNOWN = 1e-6  # of the best known direction of a start: what is known less is taken to be 0
+LOOKED_AT = 5  # schedule values along each span, for what holds anywhere in it
 CHUNK = 4096  # samples whose scheduled matrices are held at once
 
 
@@ -261,6 +264,11 @@ class LPVModel:
             raise InputError(given, file=self.name, mend=f"the model knows {known}")
         weight = self.still(self.clipped(value)[None])[0]
         return tuple(np.tensordot(weight, M, 1) for M in (self.A, self.B, self.C, self.D))  # type: ignore[return-value]
+
+    @cached_property
+    def free(self) -> bool:
+        """Whether it integrates or is unstable anywhere in its spans; see `workbench.steady`."""
+        return any(integrates(self.freeze(rho)[0]) for rho in self.frozen_values(LOOKED_AT))
 
     def disturbance(self, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """K (nx, ny) and the covariance (ny, ny) of e in x+ = A x + B u + K e, y = C x + D u + e; zeros where nobody knows."""

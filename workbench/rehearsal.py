@@ -18,6 +18,7 @@ from workbench.errors import InputError, check_known
 from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
 from workbench.physics.controller import schedules_of, stepped
 from workbench.records import field, record
+from workbench.steady import rests
 from workbench.units import check_law_units
 
 HOLD = (1.0, 4.0)  # s, shortest and longest stay at a set-point
@@ -53,10 +54,10 @@ class Rehearsal:
         u0, y0 = phi @ point.u, phi @ point.y
         K = model.predictor.K if model.predictor else np.zeros((len(model.terms), model.order, len(self.size)))
         A, B, C = (np.tensordot(weights[0], M, 1) for M in (model.A, model.B, model.C))
-        reached = np.linalg.solve(np.eye(len(A)) - A, B)
-        held = np.zeros(len(model.inputs))  # an input that the law does not command stays at the operating point
-        held[at_u] = np.linalg.pinv((C @ reached)[np.ix_(at_y, at_u)]) @ (self.references[0] - y0[0])[at_y]
-        x, commands, y = reached @ held, u0 + held * np.isin(np.arange(len(held)), at_u), np.empty_like(self.references)
+        X, U = rests(A, B[:, at_u], C[at_y], np.zeros((len(at_y), len(at_u))))
+        off = (self.references[0] - y0[0])[at_y]
+        x, commands, y = X @ off, u0.copy(), np.empty_like(self.references)
+        commands[:, at_u] += U @ off  # an input that the law does not command stays at the operating point
         state = law.init(commands[0, at_u])
         schedule, longest = self.rho.copy(), max(term.delay for term in model.terms)
         for k, r in enumerate(self.references):

@@ -223,8 +223,8 @@ C_SHAPING_STATE = Template("""\
     double n[${NAME}_NY]; /* their rates */
 """)
 C_SHAPING = Template("""\
-        const double way = SLEW[j] * ${double}PERIOD, held = s->cold ? ${double}r[j] : s->s[j];
-        const double m = s->cold ? ${double}r[j] : s->m[j], n = s->cold ? 0 : s->n[j];
+        const double way = SLEW[j] * ${double}PERIOD, held = s->cold ? ${double}y[j] : s->s[j];
+        const double m = s->cold ? ${double}y[j] : s->m[j], n = s->cold ? 0 : s->n[j];
         s->s[j] = fmax(held - way, fmin(held + way, ${double}r[j]));
         s->m[j] = MODEL[j][0] * m + MODEL[j][1] * n + MODEL[j][2] * s->s[j];
         s->n[j] = MODEL[j][3] * m + MODEL[j][4] * n + MODEL[j][5] * s->s[j];

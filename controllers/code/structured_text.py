@@ -238,8 +238,8 @@ ST_SHAPING_STATE = """\
 """
 ST_SHAPING = """\
     IF NOT warm THEN (* the reference models start from rest *)
-        s[j] := set_point[j];
-        m[j] := set_point[j];
+        s[j] := measured[j];
+        m[j] := measured[j];
         n[j] := 0.0;
     END_IF;
     IF set_point[j] < s[j] - SLEW[j] * PERIOD THEN

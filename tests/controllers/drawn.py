@@ -1,7 +1,8 @@
 """Loops to be designed, drawn at random, and a judge of what a design says, which shares no code with it.
 
 Sampled plants of five kinds: a resonance (zeta 0.05 to 1), a lag with dead time, an integrator with a leak, a zero on the
-wrong side, a resonance with dead time. Law, from e = -y, with z = exp(j omega dt):
+wrong side, a resonance with dead time; of FREE ones an integrator behind a lag, a free mass, a pole that grows. Law, from
+e = -y, with z = exp(j omega dt):
 
     K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf),    Tf = 2 dt
 """
@@ -20,6 +21,7 @@ from workbench.robustness.frozen import Bounds
 
 KINDS = ("resonance", "dead-time", "leaky-integrator", "wrong-zero", "late-resonance")
 SENSITIVITY, COMPLEMENTARY, EFFORT = (1.3, 1.5, 1.7, 2.0), (1.2, 1.4, 1.6, 2.0), (1.3, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0)
+FREE = ("integrator", "double-integrator", "unstable")  # that a law has to hold at all
 LAWS, TRIES = 2000, 60  # stable laws that are looked at; batches of as many that are drawn for them
 GRID, CLOSE = 400, 9  # frequencies along the axis; around every pole
 
@@ -49,7 +51,16 @@ class Drawn:
 
     @property
     def steady(self) -> float:
-        return float(self.num.sum() / self.den.sum())
+        """The gain at rest; of one that integrates or is unstable that of its slow modes at a real z a tenth beyond its poles."""
+        radius = np.abs(np.roots(self.den)).max()
+        if radius < 1.0 - 1e-4:
+            return float(self.num.sum() / self.den.sum())
+        residues, poles, _ = signal.residue(self.num, self.den, tol=1e-6)
+        z, power, total = max(radius, 1.0) + 0.1, 1, 0.0
+        for i, (residue, pole) in enumerate(zip(residues, poles, strict=True)):
+            power = power + 1 if i and abs(pole - poles[i - 1]) < 1e-6 else 1
+            total += (residue / (z - pole) ** power).real if abs(pole) > 0.9 else 0.0
+        return float(total)
 
     def model(self) -> LPVModel:
         """The plant as `identify` would hand it over, in a realisation of its own scale."""
@@ -75,6 +86,17 @@ def draw(random: np.random.Generator, kind: str) -> Drawn:
         num, den = [leak], np.polymul([1.0, leak], [lag, 1.0])
         delay = random.choice([0.0, dt])
         said = f"leak {leak:.4f}, lag {lag:.2f}, delay {delay:.2f}"
+    elif kind == "integrator":
+        lag, dt = random.uniform(0.2, 2.0), random.uniform(0.05, 0.2)
+        num, den = [1.0], np.polymul([1.0, 0.0], [lag, 1.0])
+        delay = random.choice([0.0, dt])
+        said = f"lag {lag:.2f}, delay {delay:.2f}"
+    elif kind == "double-integrator":
+        friction, dt = random.choice([0.0, 0.05]), random.uniform(0.05, 0.2)
+        num, den, said = [1.0], [1.0, friction, 0.0], f"friction {friction:.2f}"
+    elif kind == "unstable":
+        grows, lag, dt = random.uniform(0.1, 0.6), random.uniform(0.05, 0.3), random.uniform(0.03, 0.08)
+        num, den, said = [1.0], np.polymul([1.0, -grows], [lag, 1.0]), f"grows by {grows:.2f}, lag {lag:.2f}"
     elif kind == "wrong-zero":
         zero, second, dt = random.uniform(0.1, 2.0), random.uniform(0.1, 1.0), random.uniform(0.05, 0.2)
         num, den = [-zero, 1.0], np.polymul([1.0, 1.0], [second, 1.0])

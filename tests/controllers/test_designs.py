@@ -1,7 +1,9 @@
 """Designs as records, export as a method: the same controllers and files as the commands, and none that loses its loop."""
 
 import json
+from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -274,3 +276,61 @@ def test_the_house_s_own_controllers_pass_what_is_asked_of_a_user_s(model, law):
 def test_every_public_name_of_controllers_loads():
     for name in controllers.__all__:
         assert getattr(controllers, name) is not None
+
+
+def free_mass(friction=20.0):
+    """A position from a force, 0.5 y" + friction y' = F, sampled every 0.01 s."""
+    plant = control.sample_system(control.ss(control.tf([1.0], [0.5, friction, 0.0])), 0.01)
+    return constant_model(
+        "axis", 0.01, ((Channel("F", "N", "input"),), (Channel("q", "m", "output"),)),
+        (plant.A, plant.B, plant.C, plant.D), OperatingPoint(CONSTANT, [[0.0]], [[0.0]]), noise=[[1e-10]],
+    )  # fmt: skip
+
+
+def test_an_axis_that_integrates_goes_to_its_set_point_within_its_limits():
+    """It was refused; far set-points wound its integral up. Now they are slewed to what 80 % of the force keeps up: 0.2 m/s."""
+    law = ScheduledPIDDesign(low={"F": -5.0}, high={"F": 5.0}).on(free_mass())
+    np.testing.assert_allclose(law.slew, 0.2, rtol=1e-6)
+    A, B = np.array([[0.0, 1.0], [0.0, -40.0]]), np.array([[0.0], [2.0]])
+    both = expm(np.block([[A, B], [np.zeros((1, 3))]]) * 0.01)
+    x, state, places = np.zeros(2), law.init(), []
+    for _ in range(600):  # half a metre, 100 times what a step of the trial is
+        u, state = law.step(state, np.array([0.5]), x[:1])
+        assert abs(u[0]) <= 5.0
+        x = both[:2, :2] @ x + both[:2, 2] * u[0]
+        places.append(x[0])
+    assert max(places) < 0.55
+    np.testing.assert_allclose(places[-100:], 0.5, atol=0.005)
+    assert np.diff(places).max() < 1.3 * 0.2 * 0.01
+
+
+def test_a_slew_is_chosen_where_the_rate_takes_a_command_alone():
+    bare = ScheduledPIDDesign(low={"F": -5.0}, high={"F": 5.0}, feedforward=False)
+    assert np.isinf(bare.on(free_mass()).slew).all()
+    assert np.isinf(ScheduledPIDDesign().on(free_mass()).slew).all()  # no limits
+    given = ScheduledPIDDesign(low={"F": -5.0}, high={"F": 5.0}, slew={"q": np.inf}).on(free_mass())
+    assert np.isinf(given.slew).all()
+
+
+def test_a_law_for_more_inputs_than_outputs_is_refused_at_once():
+    plant = free_mass()
+    wide = replace(plant, inputs=(*plant.inputs, Channel("G", "N", "input")), B=np.tile(plant.B, 2), D=np.zeros((1, 1, 2)),
+                   operating_point=OperatingPoint(CONSTANT, [[0.0, 0.0]], [[0.0]]))  # fmt: skip
+    with pytest.raises(InputError, match=r"2 inputs \(F, G\) for 1 outputs"):
+        ScheduledPIDDesign().design(wide)
+    with pytest.raises(InputError, match="neither noise nor a load step"):
+        ScheduledPIDDesign(load={"F": 0.0}).design(replace(plant, noise=None))
+
+
+def test_a_quiet_sensor_beside_a_noisy_one_does_not_end_the_integral_action():
+    A, B = np.diag([0.9, 0.8]), np.array([[1.0, 0.3], [0.2, 1.0]])
+    channels = tuple(tuple(Channel(name, "V", role) for name in own) for own, role in (("ab", "input"), ("yz", "output")))
+    shares = []
+    for quiet in (0.1, 1e-3, 0.0):
+        model = constant_model(
+            "two", 0.1, channels, (A, B, np.eye(2), np.zeros((2, 2))), OperatingPoint(CONSTANT, [[0.0, 0.0]], [[0.0, 0.0]]),
+            noise=np.diag([0.01, quiet**2]),
+        )  # fmt: skip
+        found = ScheduledPIDDesign().design(model)
+        shares.append((found.low_frequency / found.alone)[0])
+    assert min(shares) > 0.05

@@ -89,15 +89,16 @@ def test_a_reference_model_is_its_equation():
     r = np.repeat(r[::8], 8, axis=0)[: len(r)]  # steps
     law, plain = shaped(full()), full()
     s = r.copy()
-    for k in range(1, len(r)):
-        s[k, 0] = s[k - 1, 0] + np.clip(r[k, 0] - s[k - 1, 0], -4.0 * DT, 4.0 * DT)
+    for k in range(len(r)):
+        last = s[k - 1, 0] if k else y[0, 0]  # a start begins at rest at what is measured
+        s[k, 0] = last + np.clip(r[k, 0] - last, -4.0 * DT, 4.0 * DT)
     assert np.ptp(np.diff(s[:, 0])) < 1.01 * np.ptp(np.clip(np.diff(r[:, 0]), -4.0 * DT, 4.0 * DT)) < np.ptp(np.diff(r[:, 0]))
     m, rate = np.empty_like(s), np.empty_like(s)
     for j, w in enumerate((6.0, 20.0)):
         model = control.ss([[0.0, 1.0], [-w * w, -2 * w]], [[0.0], [w * w]], np.eye(2), 0.0)
-        held = np.append(s[1:, j], s[-1, j])  # each sample's set-point stands since the one before
-        found = control.forced_response(control.sample_system(model, DT), T=DT * np.arange(len(s)), U=held, X0=[s[0, j], 0.0])
-        m[:, j], rate[:, j] = found.outputs
+        held = np.append(s[:, j], s[-1, j])  # each sample's set-point stands since the one before
+        found = control.forced_response(control.sample_system(model, DT), T=DT * np.arange(len(held)), U=held, X0=[y[0, j], 0.0])
+        m[:, j], rate[:, j] = found.outputs[:, 1:]
     expected = through(plain, m, y) + rate @ law.Ka[0].T
     np.testing.assert_allclose(through(law, r, y), expected, atol=1e-11)
     assert np.abs(expected - through(plain, r, y)).max() > 0.5
@@ -109,6 +110,9 @@ def test_a_reference_model_begins_at_rest_and_ends_at_the_set_point():
     np.testing.assert_allclose(through(law, r, y), through(steady, r, y), atol=1e-12)  # as if it had stood there for ever
     state = law.init(np.array([0.3, 0.4]))
     np.testing.assert_allclose(through(law, r, y, state=state)[0], [0.3, 0.4])
+    away = through(law, r + 1.0, y, state=law.init(np.array([0.3, 0.4])))
+    np.testing.assert_allclose(away[0], [0.3, 0.4])
+    assert np.abs(away[1] - away[0]).max() < 0.5 * np.abs(KP @ [1.0, 1.0]).max()  # from where the machine is, not the set-point
     r[10:] += 1.0
     for k in range(400):
         _, state = law.step(state, r[k], y[k])
@@ -122,7 +126,11 @@ def test_the_linear_system_has_the_reference_models(bandwidth):
     law = shaped(full(), slew=np.inf, bandwidth=bandwidth, Ka=np.array([[[0.03, 0.0], [0.02, 0.0]]]))
     linear, n = law.at(), int(np.isfinite(bandwidth).sum())
     assert linear.nstates == 6 + 2 * n
-    start = np.concatenate([np.zeros(4), law.c * r[0] - y[0], r[0, :n], np.zeros(n)])
+    first = y[0].copy()  # what the loop follows, one sample on from rest at the first measurement
+    a, _, c = law.reference_model[:n, :3].T
+    first[:n] = a * y[0, :n] + c * r[0, :n]
+    first[n:] = r[0, n:]
+    start = np.concatenate([np.zeros(4), law.c * first - y[0], y[0, :n], np.zeros(n)])
     _, expected = control.forced_response(linear, T=DT * np.arange(len(r)), U=np.hstack([r, y]).T, X0=start)
     np.testing.assert_allclose(through(law, r, y), expected.T + law.u0[0], atol=1e-11)
     of_y = linear.frequency_response(np.array([1.0, 9.0])).complex[:, 2:]
@@ -136,13 +144,18 @@ def test_a_reference_model_that_is_faster_than_a_sample_is_none():
 
 
 def test_gains_change_from_a_law_with_a_reference_model_to_one_without_and_back():
-    with_one, without, r, y = shaped(full()), full(), np.array([3.0, -2.0]), np.array([2.0, -1.0])
-    held = np.array([0.3, -0.4])
+    with_one, without, r = shaped(full()), full(), np.array([3.0, -2.0])
+    held, y = np.array([0.3, -0.4]), r
     for old, new in ((without, with_one), (with_one, without)):
-        _, state = old.step(old.init(), r, y)
+        state = old.init()
+        for _ in range(400):  # until what the loop follows stands at the set-point
+            _, state = old.step(state, r, y)
         state = new.follow(state, held, r, y)
         assert len(state) == len(new.init())
         np.testing.assert_allclose(new.step(state, r, y)[0], held, atol=1e-12)
+    away = r - [1.0, 2.0]
+    state = with_one.follow(without.step(without.init(), r, away)[1], held, r, away)
+    np.testing.assert_allclose(state[-6], away[0] + 4.0 * DT)  # from what is measured, within the slew
     with pytest.raises(InputError, match="memory of 3 numbers"):
         without.follow(np.zeros(3), held, r, y)
 

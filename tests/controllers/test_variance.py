@@ -14,7 +14,7 @@ from scipy.optimize import approx_fprime
 from controllers.pid_design import design_pid
 from controllers.tuning import Task, Tuning
 from controllers.variance import LOST, Disturbed, Variance, lyapunov
-from tests.controllers.drawn import KINDS, LAWS, ask, best_at_random, draw, judge, variances
+from tests.controllers.drawn import FREE, KINDS, LAWS, Asked, ask, best_at_random, draw, judge, variances
 from workbench.basis import CONSTANT
 from workbench.data import Channel
 from workbench.lpv import OperatingPoint, Predictor, constant_model
@@ -24,8 +24,12 @@ from workbench.robustness.frozen import Bounds
 ROUNDING = 1e-4  # by which a peak between the frequencies of the program may pass a bound
 
 
-def stands(plant, asked, random, laws):
-    """The variance is what the judge says, within the bounds, and no law at random or nearby has less."""
+def stands(plant, asked, random, laws, room=1.02):
+    """The variance is what the judge says, within the bounds, and no law at random or nearby has less.
+
+    room: a design keeps half a percent off its bounds, which costs that; where a mass is free the variance falls with the cube of
+    the effort.
+    """
     model = replace(plant.model(), noise=np.eye(1))
     d, every = 10.0 ** random.uniform(-0.5, 1.5) / abs(plant.steady), plant.dt * 10.0 ** random.uniform(1.5, 3.0)
     load = d**2 * plant.dt / every
@@ -38,13 +42,30 @@ def stands(plant, asked, random, laws):
     best = -best_at_random(plant, [asked], random, laws, lambda _, own: -variances(plant, own, load))[0]
     near = gains * (1.0 + random.normal(size=(200, 3)) * 10.0 ** random.uniform(-2.5, -0.5, (200, 1)))
     near = near[judge(plant, near).kept(asked)]
-    assert reached <= 1.02 * min(best, variances(plant, near, load).min(initial=np.inf)), f"{plant} {asked} {d:.4g} {every:.4g}"
+    assert reached <= room * min(best, variances(plant, near, load).min(initial=np.inf)), f"{plant} {asked} {d:.4g} {every:.4g}"
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_law_within_the_bounds_has_less_variance(kind):
     random = np.random.default_rng([51, KINDS.index(kind)])
     stands(draw(random, kind), ask(random), random, 300)
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_plants_that_run_away_are_held_with_the_least_variance(kind):
+    for case in range(2):
+        random = np.random.default_rng([60, FREE.index(kind), case])
+        stands(draw(random, kind), Asked(1.7, 2.0, 5.0), random, 300, 1.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", FREE)
+def test_twenty_plants_that_run_away_are_held_with_the_least_variance(kind):
+    for case in range(20):
+        random = np.random.default_rng([61, FREE.index(kind), case])
+        stands(
+            draw(random, kind), Asked(float(random.choice([1.7, 2.0])), 2.0, float(random.choice([3.0, 10.0]))), random, 500, 1.05
+        )
 
 
 @pytest.mark.slow
@@ -123,6 +144,7 @@ def test_sums_by_doubling_are_those_of_scipy_and_know_an_unstable_loop():
         np.testing.assert_allclose(Y, solve_discrete_lyapunov(F.T, Q), rtol=1e-6, atol=1e-8 * np.abs(Y).max())
         assert lyapunov(F / radius * 1.00001, W) is None
         assert lyapunov(F / radius, W) is None
+        assert lyapunov(F * np.inf, W) is None
 
 
 # ---- the least that a linear law reaches --------------------------------------------------------------------------------

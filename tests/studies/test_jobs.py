@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controllers.pid_design import design_pid
+from controllers.pid_design import Structure, design_pid
 from plants import PLANTS
 from studies.cli import main
 from studies.experiments import measured, plan
@@ -155,13 +155,13 @@ def test_a_designed_loop_is_the_design_on_the_model_and_the_machine_under_it():
         tuple(measured(ROBOT, n, seed_of(5, 0, 0)).with_roles(inputs=("u",), outputs=("v",)) for n in ("prbs", "rbs"))
     )
     model = LTI(order=2, feedthrough=False).fit(records)
-    design = design_pid(model, knots=1, bounds=Bounds(1.4, 1.4, 3.0), setpoint=[0.0])
+    limits = Structure(low=np.array([-4.0]), high=np.array([4.0]))
+    design = design_pid(model, knots=1, bounds=Bounds(1.4, 1.4, 3.0), structure=limits, setpoint=[0.0])
     assert found["bandwidth"] == pytest.approx(design.margins.bandwidth.min(), rel=1e-6)
     assert found["delay margin"] == pytest.approx(design.margins.delay.min(), rel=1e-6)
     assert found["sensitivity"] == pytest.approx(design.margins.sensitivity.max(), rel=1e-6)
     assert found["sensitivity"] <= 1.4
-    law = replace(design.law, low=np.array([-4.0]), high=np.array([4.0]))
-    seen = simulate(ROBOT, law, replace(run, seed=5).scenario(ROBOT, law), bumpless=True).experiment
+    seen = simulate(ROBOT, design.law, replace(run, seed=5).scenario(ROBOT, design.law), bumpless=True).experiment
     error = seen["v"] - np.where(seen.t >= 1.0 - 1e-9, 0.3, 0.0)
     assert found["v RMS"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
 

@@ -16,6 +16,7 @@ from workbench.lpv import LPVModel
 from workbench.records import field, record
 from workbench.robustness.frequency import Closed, System, delay_margin, first_reaching, peak
 from workbench.robustness.linear_law import LinearLaw, check_law
+from workbench.steady import gain
 
 PEAKS = ("sensitivity", "complementary", "effort", "loops", "radius")
 
@@ -24,8 +25,9 @@ PEAKS = ("sensitivity", "complementary", "effort", "loops", "radius")
 class Bounds:
     """What a design must keep: peaks of S and T as spectral norms, and of the control effort Q.
 
-    effort: largest |Q| as a multiple of 1 / sigma_min(P(0)), the least that any law with integral action needs. broken: where the
-    loop is opened for S and T, "input" or "output" of the plant.
+    effort: largest |Q| as a multiple of 1 / sigma_min(P(0)), the least that any law with integral action needs; of a plant that
+    integrates about what a loop takes that crosses over at a tenth of a radian a sample. broken: where the loop is opened for S
+    and T, "input" or "output" of the plant.
     """
 
     sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
@@ -85,13 +87,13 @@ def margins_of(
         S = loop.input_sensitivity if bounds.broken == "input" else loop.output_sensitivity
         peaks = [peak(system) for system in (S, S.less(1.0), loop.effort)]
         A, B, C, D = model.freeze(rho)
-        steady = (C @ np.linalg.solve(np.eye(len(A)) - A, B) + D) / scale[:, None]
+        P0 = gain(A, B, C, D, model.free) / scale[:, None]
         alone, lost = [loop.alone(i) for i in range(loop.nu)], not loop.system.stable
         rows.append({
             "rho": 0.0 if rho is None else rho,
             "sensitivity": peaks[0].gain,
             "complementary": peaks[1].gain,
-            "effort": peaks[2].gain * np.linalg.svd(steady, compute_uv=False)[len(C) - 1],
+            "effort": peaks[2].gain * np.linalg.svd(P0, compute_uv=False)[len(C) - 1],
             "loops": np.array([peak(own).gain for own in alone]),
             "radius": np.abs(loop.system.poles).max(),
             "bandwidth": 0.0 if lost else first_reaching(S, np.sqrt(0.5)),

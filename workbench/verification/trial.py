@@ -18,6 +18,7 @@ from workbench.rehearsal import Rehearsal
 from workbench.robustness.frozen import closed_loop
 from workbench.robustness.linear_law import without_linear_form
 from workbench.simulation import LeftRangeError, Scenario, simulate
+from workbench.steady import gain, rests
 
 POINTS = 5  # schedule values at which loops are asked how slow they are
 SETTLED = 5.0  # time constants of the slowest pole that a set-point is held
@@ -159,19 +160,21 @@ def _path(rest: np.ndarray, step: np.ndarray, hold: int) -> np.ndarray:
 
 
 def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
-    """For each output a step that the limits of commands leave room for in the middle; without limits what unit inputs move."""
+    """For each output a step that the limits of commands leave room for in the middle, unless the model integrates no larger than
+    what unit inputs move; without limits that.
+    """
     middle = model.middle if model.schedules else None
     A, B, C, D = model.freeze(middle)
-    gain = C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
+    moved = gain(A, B, C, D, model.free)
     phi, point = model.operating_point.basis(model.middle), model.operating_point
-    need = np.linalg.pinv(gain)
-    u = phi @ point.u + need @ (rest - phi @ point.y)
+    need = np.linalg.pinv(moved)
+    u = phi @ point.u + rests(A, B, C, D)[1] @ (rest - phi @ point.y)
     acts = [[c.name for c in model.inputs].index(name) for name in law.actuated]
     none = np.full(len(acts), np.inf)
     room = np.minimum(u[acts] - getattr(law, "low", -none), getattr(law, "high", none) - u[acts])
     reach = np.min(np.maximum(room, 0.0)[:, None] / np.maximum(np.abs(need[acts]), 1e-300), axis=0)
-    free = np.linalg.norm(gain, axis=1)
-    return np.where(np.isfinite(reach) & (reach > 0.0), np.minimum(SHARE * reach, free), free)
+    free = np.linalg.norm(moved, axis=1)
+    return np.where(np.isfinite(reach) & (reach > 0.0), SHARE * reach if model.free else np.minimum(SHARE * reach, free), free)
 
 
 def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
