@@ -24,7 +24,7 @@ from scipy.optimize import minimize
 
 from controllers.tuning import Task
 from workbench.records import field, record
-from workbench.steady import SLOW, gain
+from workbench.steady import gain
 
 DOUBLED = 40  # times a Lyapunov sum is doubled: enough up to a pole of 1 - 1e-11
 GONE, OVER = 1e-10, 1e30  # powers of a matrix that end its sum: it has come to its end, it has none
@@ -33,6 +33,7 @@ ITERATIONS, ACCURATE = 150, 1e-7  # of the quasi-Newton method at each price; re
 TIGHTER = 4  # how often bounds are drawn in where the answer breaks them
 LOST = 1e3  # log of the variance of a loop that is unstable
 SMALL = 1e-9  # beside one: the price of commands, the noise of a measurement that has none, in the bound on linear laws
+CALM = 0.99  # largest pole of what states are scaled by
 SEEN = 1e-10  # of the outputs' variance in a sample: a load that adds less is none in that bound
 
 
@@ -68,7 +69,7 @@ class Disturbed:
         outputs: Riccati's equation is not solved in states of any size.
         """
         step = np.sqrt(self.load.max(initial=0.0)) or 1.0
-        A = self.A / max(1.0, np.abs(np.linalg.eigvals(self.A)).max() / (1.0 - SLOW))  # it may integrate
+        A = self.A / max(1.0, np.abs(np.linalg.eigvals(self.A)).max() / CALM)  # it may integrate
         X = lyapunov(A, step**2 * self.B @ self.B.T + self.K @ self.noise @ self.K.T)
         unit = float(np.sqrt(np.trace(self.C @ X @ self.C.T + self.noise)))
         x = np.sqrt(np.maximum(np.diagonal(X), SMALL * np.trace(X)))
