@@ -78,7 +78,8 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     say(f"margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: found.law}, models, bounds, found.scale)
     title = f"{kind} on {model.name}"
-    page = Report(title, f"{ended(trial.sentence)} {ended(_worst_said(found, over, model))}", (Section("Design", pictures),))
+    answers = (trial.sentence, _worst_said(found, over, model), _deviations_said(found, model).replace("\n ", ";"))
+    page = Report(title, " ".join(map(ended, answers)), (Section("Design", pictures),))
     say(f"pictures -> {write_report(page, folder)}")
     result = {
         "kind": kind, "objective": found.objective, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
