@@ -84,8 +84,8 @@ def simulate(
     the range of the plant ends there; else it is refused with LeftRangeError, and so it is in any case with less than 2 samples.
 
         >>> run = simulate(MOTOR, law, Scenario("hold", {"n_set": np.full(300, 20.0)}, seed=1))
-        >>> f"{run.experiment['n'][-1]:.0f} rad/s", run.experiment.names
-        ('20 rad/s', ('U', 'n', 'way', 'n_set'))
+        >>> f"{run.experiment['n'][-1]:.1f} rad/s", run.experiment.names
+        ('20.1 rad/s', ('U', 'n', 'way', 'n_set'))
     """
     lanes = _lanes(plant, controller, [scenario], plant.parameter_vector(parameters), plant.effect_vector(effects), bumpless)
     used = _substeps(plant, lanes, substeps)

@@ -103,12 +103,13 @@ def overshoot(law, zeta, rest=2.0):
 def test_set_points_overshoot_by_a_fifth_at_most(zeta):
     """A design that was as brisk as it could be overshot by 70 % under margins of 1.6."""
     model, setpoint = swinging(zeta), {"y": 2.0}
-    law = ScheduledPIDDesign(setpoint=setpoint).on(model)
-    brisk = ScheduledPIDDesign(setpoint=setpoint, reference_model={"y": np.inf}).on(model)
+    assert overshoot(ScheduledPIDDesign(setpoint=setpoint).on(model), zeta) < 0.2
+    law = ScheduledPIDDesign(setpoint=setpoint, objective="integral").on(model)
+    brisk = ScheduledPIDDesign(setpoint=setpoint, reference_model={"y": np.inf}, objective="integral").on(model)
     for key in ("Kp", "Ki", "Kd", "Kr", "u0"):  # what answers to set-points is not in the loop
         np.testing.assert_array_equal(getattr(law, key), getattr(brisk, key))
     assert not brisk.shaped
-    assert overshoot(brisk, zeta) > 0.4
+    assert overshoot(brisk, zeta) > 0.5
     assert overshoot(law, zeta) < 0.2
 
 
