@@ -64,7 +64,7 @@ class Frozen(Protocol):
         ...
 
 
-P = TypeVar("P", bound=Frozen)
+Plant = TypeVar("Plant", bound=Frozen)
 
 
 @record
@@ -83,7 +83,7 @@ class Tuned:
 
 
 @record
-class Tuning(Generic[P]):
+class Tuning(Generic[Plant]):
     """What is tuned: a law on plants, within bounds.
 
     weights (n, m): basis functions at the plants' schedule values. parts(omega) (N, nq): what the gains are multiplied with,
@@ -94,7 +94,7 @@ class Tuning(Generic[P]):
     room: the programs keep the bounds by this share more, for what lies between their frequencies.
     """
 
-    plants: Sequence[P]
+    plants: Sequence[Plant]
     weights: np.ndarray
     parts: Callable[[np.ndarray], np.ndarray]
     omega: np.ndarray
@@ -181,11 +181,14 @@ class Task:
 
     def _norms(self, X: np.ndarray, P: np.ndarray | None = None, parts: np.ndarray | None = None) -> np.ndarray:
         """|S|, |T|, |Q| by plant and frequency, (n, N, 3)."""
-        P, K = self.P if P is None else P, self._laws(X, parts)
+        S, T, Q, _ = self._sensitivities(self.P if P is None else P, self._laws(X, parts))
+        return np.stack([_size(M) for M in (S, T, Q)], axis=-1)
+
+    def _sensitivities(self, P: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """S, T, Q and (I + P K)^-1."""
         L = K @ P if self.at_input else P @ K
-        S = np.linalg.inv(np.eye(L.shape[-1]) + L)
-        Q = K @ np.linalg.inv(np.eye(P.shape[2]) + P @ K)
-        return np.stack([_size(M) for M in (S, L @ S, Q)], axis=-1)
+        S, outer = np.linalg.inv(np.eye(L.shape[-1]) + L), np.linalg.inv(np.eye(P.shape[2]) + P @ K)
+        return S, L @ S, K @ outer, outer
 
     def excess(self, X: np.ndarray) -> np.ndarray:
         """The norms as parts of what is allowed."""
@@ -206,33 +209,30 @@ class Task:
         With singular vectors u, v of M: d|M| = Re(u* dM v), dS = -S dL S, dT = -dS, dQ = S dK (I + P K)^-1.
         """
         P, K = self.P, self._laws(X)
-        n, _, ny, nu = P.shape
-        S = np.linalg.inv(np.eye(nu) + K @ P)  # at the input
-        So = np.eye(ny) - P @ S @ K  # (I + P K)^-1
+        *norms, outer = self._sensitivities(P, K)
+        inner = np.eye(K.shape[2]) - norms[2] @ P  # (I + K P)^-1
         limits = self.limits * (1.0 - room)
-        sensitivity = S if self.at_input else So
         value, gradient = 0.0, np.zeros(self.shape)
-        for kind, M in enumerate((sensitivity, np.eye(sensitivity.shape[-1]) - sensitivity, S @ K)):
+        for kind, M in enumerate(norms):
             limit = limits[:, kind, None]
             i, w = np.nonzero(np.linalg.norm(M, axis=(-2, -1)) > limit)  # the spectral norm is no larger than this one
             left, sigma, right = np.linalg.svd(M[i, w], full_matrices=False)
             over = np.maximum(sigma[:, 0] / limits[i, kind] - 1.0, 0.0)
             # d|M| = Re(a* dK b)
             a, b = left[:, :, :1], _adjoint(right[:, :1])
-            own, outer, plant = S[i, w], So[i, w], P[i, w]
             if kind == 2:
-                a, b = _adjoint(own) @ a, outer @ b
+                a, b = _adjoint(inner[i, w]) @ a, outer[i, w] @ b
             elif self.at_input:  # dL = dK P
-                a, b = _adjoint(own) @ a, plant @ own @ b
+                a, b = _adjoint(inner[i, w]) @ a, P[i, w] @ inner[i, w] @ b
             else:  # dL = P dK
-                a, b = _adjoint(outer @ plant) @ a, outer @ b
+                a, b = _adjoint(outer[i, w] @ P[i, w]) @ a, outer[i, w] @ b
             sign = -1.0 if kind == 0 else 1.0
             value += float(over @ over)
             slope = 2.0 * sign * over / limits[i, kind]
             gradient += np.einsum(
                 "m,mq,mj,mab->qjab", slope, self.parts[w], self.weights[i], np.conj(a) @ np.swapaxes(b, 1, 2)
             ).real
-        return value / n, gradient / n
+        return value / len(P), gradient / len(P)
 
     def stable(self, X: np.ndarray) -> bool:
         return self.closed is None or self.closed(X) is not None

@@ -67,7 +67,9 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
         over = worst_margins(found.law, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
-    say(_deviations_said(found, model))
+    moved = _deviations_said(found, model)
+    for sentence in moved:
+        say(sentence)
     if said := _setpoints_said(found.law, model, wanted, trial):
         say(said)
     _say_limits(found.law, model, say)
@@ -78,8 +80,9 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
     say(f"margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: found.law}, models, bounds, found.scale)
     title = f"{kind} on {model.name}"
-    answers = (trial.sentence, _worst_said(found, over, model), _deviations_said(found, model).replace("\n ", ";"))
-    page = Report(title, " ".join(map(ended, answers)), (Section("Design", pictures),))
+    page = Report(
+        title, " ".join(map(ended, (trial.sentence, _worst_said(found, over, model), *moved))), (Section("Design", pictures),)
+    )
     say(f"pictures -> {write_report(page, folder)}")
     result = {
         "kind": kind, "objective": found.objective, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
@@ -323,7 +326,7 @@ def _setpoint(texts: list[str], model: LPVModel) -> list[float] | None:
 
 def _described(model: LPVModel) -> str:
     inputs, outputs = (", ".join(c.name for c in channels) for channels in (model.inputs, model.outputs))
-    free = ", taken for one that integrates" * model.free
+    free = ", taken as integrating or unstable" * model.free
     ranges = (
         f"{c.name} from {a:.4g} to {b:.4g} {c.unit}".rstrip() for c, (a, b) in zip(model.schedules, model.spans, strict=True)
     )
@@ -343,10 +346,10 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
                 f"{over.radius[i]:18.4f}"
             )
     say(_worst_said(found, over, model))
-    if len(found.knots) > 1:
+    if len(found.knots) > 1 or found.objective == "variance":
         share = (found.low_frequency / found.alone).min()
         say(f"integral action: at least {share:.0%} of the most that these margins allow at each knot alone")
-    elif over.broken(bounds).any():
+    if len(found.knots) == 1 and over.broken(bounds).any():
         say(
             f"away from {model.named(found.knots[0])} the fixed law breaks its bounds at "
             f"{over.broken(bounds).sum()} of {len(over.rho)} schedule values: workbench design scheduled-pid keeps them"
@@ -355,7 +358,7 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
 
 
-def _deviations_said(found: PIDDesign, model: LPVModel) -> str:
+def _deviations_said(found: PIDDesign, model: LPVModel) -> list[str]:
     """How far noise and load steps move the outputs, and what is left for any other linear law."""
     steps = ", ".join(f"{c.name} {size:.3g} {c.unit}".rstrip() for c, size in zip(model.inputs, found.loads.size, strict=True))
     noise = "the model's noise and " if model.noise is not None and np.any(model.noise) else ""
@@ -365,8 +368,10 @@ def _deviations_said(found: PIDDesign, model: LPVModel) -> str:
         ends = zip(model.outputs, deviation.min(axis=0), deviation.max(axis=0), strict=True)
         return ", ".join(f"{c.name} {' to '.join(dict.fromkeys((f'{a:.3g}', f'{b:.3g}')))} {c.unit}".rstrip() for c, a, b in ends)
 
-    said = f"RMS under {noise}load steps ({steps}; every {found.loads.every:.3g} s): {told(found.deviation)}{over}"
-    return said if found.least is None else f"{said}\n  the best linear law of any order, margins aside: {told(found.least)}"
+    said = [f"RMS under {noise}load steps ({steps}; every {found.loads.every:.3g} s): {told(found.deviation)}{over}"]
+    if found.least is not None:
+        said.append(f"RMS of the best linear law of any order, margins aside: {told(found.least)}{over}")
+    return said
 
 
 def _shown(over: Margins, model: LPVModel) -> np.ndarray:
