@@ -22,6 +22,7 @@ from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.frozen import Bounds
+from workbench.steady import dying
 from workbench.verification.trial import BAND, LONGEST, OVERSHOOT, SETTLED, Trial, tried
 
 Numbers = Mapping[str, float]
@@ -202,12 +203,8 @@ def _answered(law: ScheduledPID, model: LPVModel, scale: np.ndarray) -> tuple[np
         X = np.block([[A + B @ Dy @ C, B @ Cc], [By @ C, Ac]])
         rest = np.linalg.solve(np.eye(len(X)) - X, np.vstack([B @ Dr, Br]))  # x(k) = rest - X^k rest
         samples = SETTLED / -np.log(np.clip(np.abs(np.linalg.eigvals(X)).max(), 1e-6, 1.0 - 1e-9))
-        every = int(np.ceil(samples / POINTS))
-        x, left, stride = rest, [], np.linalg.matrix_power(X, every)
-        for _ in range(POINTS):
-            left.append(rest - x)
-            x = stride @ x
-        y = C @ (x := np.array(left))[:, : len(A)]
+        every, left = dying(X, rest, samples, POINTS)
+        y = C @ (x := rest - left)[:, : len(A)]
         off, u = y - np.eye(ny), Dr + Dy @ y + Cc @ x[:, len(A) :]
         away = np.any(np.abs(off) > BAND, axis=1)
         time = every * law.dt * np.where(away.any(axis=0), POINTS - np.argmax(away[::-1], axis=0), 0)

@@ -11,6 +11,7 @@ Frozen margins say nothing about a schedule that moves fast; that is a matter of
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -66,11 +67,15 @@ class FrozenPoint:
     noise: np.ndarray = field("ny ny")
     free: bool = False
 
+    @property
+    def scaled(self) -> tuple[np.ndarray, np.ndarray]:
+        """C and D with outputs in units of `scale`."""
+        return self.C / self.scale[:, None], self.D / self.scale[:, None]
+
     def disturbed(self, loads: Loads) -> Disturbed:
         """With noise and load steps, outputs in units of `scale`."""
-        C, D = self.C / self.scale[:, None], self.D / self.scale[:, None]
         noise = self.noise / np.outer(self.scale, self.scale)
-        return Disturbed(self.A, self.B, C, D, self.K * self.scale, noise, loads.size**2 * self.dt / loads.every)
+        return Disturbed(self.A, self.B, *self.scaled, self.K * self.scale, noise, loads.size**2 * self.dt / loads.every)
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """C (exp(j omega dt) - A)^-1 B + D, (N, ny, nu)."""
@@ -81,18 +86,18 @@ class FrozenPoint:
     @property
     def gain(self) -> np.ndarray:
         """P(0), or what tells as much where that does not exist; see `workbench.steady`."""
-        return steady.gain(self.A, self.B, self.C, self.D, self.free) / self.scale[:, None]
+        return steady.gain(self.A, self.B, *self.scaled, self.free)
 
     def held(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kr and Ka [s] (nu, ny): u = Kr r + Ka r' makes outputs follow a slow r(t) but for what r'' does; set-point j moves the
         inputs at which entries[:, j] is true, and outputs follow as near as these let them.
         """
-        C, D = self.C / self.scale[:, None], self.D / self.scale[:, None]
+        C, D = self.scaled
         Kr, Ka = np.zeros(entries.shape), np.zeros(entries.shape)
         for j, own in enumerate(entries.T):
-            A, B, D_own = self.A, self.B[:, own], D[:, own]
-            X, U = steady.rests(A, B, C, D_own)
-            Kr[own, j], Ka[own, j] = U[:, j], steady.follows(A, B, C, D_own, self.dt * X[:, j : j + 1])[:, 0]
+            plant = self.A, self.B[:, own], C, D[:, own]
+            X, U = steady.rests(*plant)
+            Kr[own, j], Ka[own, j] = U[:, j], steady.follows(*plant, self.dt * X[:, j : j + 1])[:, 0]
         return Kr / self.scale, Ka / self.scale
 
     @property
@@ -102,33 +107,10 @@ class FrozenPoint:
         """
         if self.free:
             return self.dt * np.log(1.0 / LEFT) / steady.BEYOND
-        I_A = np.eye(len(self.A)) - self.A
         samples = np.log(1e-3) / np.log(np.clip(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1e-3, 1.0 - 1e-9))
-        every = int(np.ceil(samples / POINTS))
-        x, left, stride = np.linalg.solve(I_A, self.B), [], np.linalg.matrix_power(self.A, every)
-        for _ in range(POINTS):
-            left.append(np.abs(self.C @ x))
-            x = stride @ x
-        late = np.any(np.array(left) > LEFT * np.abs(self.gain * self.scale[:, None]), axis=(1, 2))
+        every, x = steady.dying(self.A, np.linalg.solve(np.eye(len(self.A)) - self.A, self.B), samples, POINTS)
+        late = np.any(np.abs(self.scaled[0] @ x) > LEFT * np.abs(self.gain), axis=(1, 2))
         return self.dt * every * (POINTS - int(np.argmax(late[::-1])) if late.any() else 1)
-
-    def poles(self, Kp: np.ndarray, Ki: np.ndarray, Kd: np.ndarray, Tf: float) -> np.ndarray:
-        """Poles of the loop with these gains (nu, ny), for outputs in units of `scale`.
-
-        States x; z+ = z - dt Ki y; q+ = a q - (a - 1) / (Tf + dt) y with a = Tf / (Tf + dt); u = -K y + z + Kd q, where
-        K = Kp + Kd / (Tf + dt) and y = C x + D u.
-        """
-        C, D = self.C / self.scale[:, None], self.D / self.scale[:, None]
-        nu, ny = Kp.shape
-        nx, direct, a = len(self.A), Kp + Kd / (Tf + self.dt), Tf / (Tf + self.dt)
-        u = np.linalg.solve(np.eye(nu) + direct @ D, np.hstack([-direct @ C, np.eye(nu), Kd]))  # of (x, z, q)
-        y = D @ u
-        y[:, :nx] += C
-        A = np.vstack([self.B @ u, -self.dt * Ki @ y, (1.0 - a) / (Tf + self.dt) * y])
-        A[:nx, :nx] += self.A
-        A[nx : nx + nu, nx : nx + nu] += np.eye(nu)
-        A[nx + nu :, nx + nu :] += a * np.eye(ny)
-        return np.linalg.eigvals(A)
 
 
 @record
@@ -227,21 +209,27 @@ def design_pid(
     plan = _Plan(model, (model, *robust_to), axes, structure or Structure(), bounds, scale, load, load_every)
     grid, quiet = plan.grid, objective == "variance"
     held = plan.held(setpoint)
+    if quiet and not (plan.loads.size.any() or np.any(plan.points[0].noise)):
+        mend = "give a --load, or --objective integral"
+        raise InputError("neither noise nor a load step moves it: no variance is the least", file=model.name, mend=mend)
     plan.law(np.zeros((2, len(grid), len(model.inputs), len(model.outputs))), held)  # refuses limits that cross, before any work
     omega = plan.frequencies()
     alone, knots = [], []
     for rho in grid:
-        first = tune(plan.tuning([rho], np.ones((1, 1)), omega), enough=ENOUGH)
+        tuning, variance = plan.program([rho], np.ones((1, 1)), omega)
+        first = tune(tuning, enough=ENOUGH)
         alone.append(first.low_frequency.min())
-        knots.append(plan.quietest_alone(rho, omega, [*(share * first.X for share in SHARES), *knots[-1:]]) if quiet else first.X)
+        starts = [*(share * first.X for share in SHARES), *knots[-1:]]
+        found = quietest(variance, Task(tuning), starts) if quiet else None
+        knots.append(first.X if found is None else found)
         say(f"{plan.place(rho)}: up to {alone[-1]:.3g} 1/s of integral action")
     X = np.concatenate(knots, axis=1)
     lines = _finer(axes, 2)
     rhos, path = mesh(lines), [X]
     for attempt in range(REFINEMENTS):
         if len(grid) > 1 or attempt:
-            tuning = plan.tuning(rhos, plan.basis(rhos), omega, np.exp(plan.basis(rhos) @ np.log(alone)))
-            path = plan.improved(tuning, path, REFINED if attempt else ENOUGH, quiet)
+            tuning, variance = plan.program(rhos, plan.basis(rhos), omega, np.exp(plan.basis(rhos) @ np.log(alone)))
+            path = _improved(tuning, variance if quiet else None, path, REFINED if attempt else ENOUGH)
             X = path[-1]
         law, checked = plan.law(X, held), mesh(_finer(lines, BETWEEN))
         margins = plan.margins(law, checked)
@@ -250,7 +238,7 @@ def design_pid(
             reached = plan.low_frequency(law)
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
             return PIDDesign(
-                law, objective, bounds, margins, grid, reached, np.array(alone), plan.scale, plan.rates(),
+                law, objective, bounds, margins, grid, reached, np.array(alone), plan.scale, plan.followed[2],
                 plan.loads, *plan.deviations(X),
             )  # fmt: skip
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
@@ -266,6 +254,15 @@ def design_pid(
         file=model.name,
         mend="loosen the bounds, or give more knots",
     )
+
+
+def _improved(tuning: Tuning, variance: Variance | None, path: Sequence[np.ndarray], enough: float) -> Sequence[np.ndarray]:
+    """Gains within the bounds that lead on from the last of `path`: to least variance, without one to most integral action."""
+    task = Task(tuning)
+    if variance and (found := quietest(variance, task, path[-1:])) is not None:
+        return [found]
+    path = list(tune(tuning, starts=path[::-1], enough=enough).path)
+    return [found] if variance and (found := quietest(variance, task, path[-1:])) is not None else path
 
 
 def _interface(model: LPVModel) -> tuple:
@@ -322,8 +319,8 @@ class _Plan:
             if _interface(other) != _interface(model):
                 raise InputError("other inputs, outputs, schedule or sample time than the first model", file=other.name)
         self.fixed = len(grid) == 1
-        self.every = np.ones((len(model.inputs), len(model.outputs)), dtype=bool)
-        self.entries = self.every if structure.allowed is None else np.asarray(structure.allowed, dtype=bool)
+        shape = len(model.inputs), len(model.outputs)
+        self.entries = np.ones(shape, dtype=bool) if structure.allowed is None else np.asarray(structure.allowed, dtype=bool)
         middle = np.array([self.frozen(model, rho, np.ones(len(model.outputs))).gain for rho in grid]).mean(axis=0)
         usual = np.linalg.norm(middle, axis=1)
         self.scale = usual if scale is None else np.where(np.isnan(scale), usual, scale)
@@ -333,7 +330,8 @@ class _Plan:
         self.Tf = 2.0 * model.dt if structure.Tf is None else structure.Tf
         self.loads = self._loads(load, load_every)
 
-    def at_knots(self) -> list[FrozenPoint]:
+    @cached_property
+    def points(self) -> list[FrozenPoint]:
         """The model alone at every knot."""
         return [self.frozen(self.model, rho, self.scale) for rho in self.grid]
 
@@ -362,30 +360,28 @@ class _Plan:
     def basis(self, rhos: np.ndarray) -> np.ndarray:
         return np.ones((len(rhos), 1)) if self.fixed else self.surface()(rhos)
 
-    def tuning(self, rhos, weights, omega, goals=None) -> Tuning[FrozenPoint]:
-        """What one design tunes: every model at every one of these schedule values."""
+    def program(self, rhos, weights, omega, goals=None) -> tuple[Tuning, Variance]:
+        """What one design tunes, every model at every one of these schedule values, and the variance there."""
         n = len(self.models)
         plants = [self.frozen(model, rho, self.scale) for rho in rhos for model in self.models]
         weights = np.repeat(weights, n, axis=0)
+        variance = self.variance(plants, weights)
 
         def closed(X: np.ndarray) -> np.ndarray | None:
-            gains = np.einsum("ij,qjab->iqab", weights, X)
-            whole: Any = gains if self.structure.derivative else np.concatenate([gains, np.zeros_like(gains[:, :1])], axis=1)
-            poles = np.concatenate(
-                [plant.poles(own[0], own[1], own[2], self.Tf) for plant, own in zip(plants, whole, strict=True)]
-            )
+            poles = variance.poles(X).ravel()
             return around(resonant(poles), self.model.dt) if np.abs(poles).max() < 1.0 else None
 
-        return Tuning(
+        tuning = Tuning(
             plants, weights, self.parts, omega, self.bounds, goals=None if goals is None else np.repeat(goals, n),
             allowed=self.structure.allowed, closed=closed, room=ROOM,
         )  # fmt: skip
+        return tuning, variance
 
     # ---- noise and load steps --------------------------------------------------------------------------------------------
 
     def _loads(self, size: np.ndarray | None, every: float | None) -> Loads:
         """Load steps as given, the rest usual ones."""
-        points = self.at_knots()
+        points = self.points
         gains = np.linalg.norm(np.mean([np.abs(own.gain) for own in points], axis=0), axis=0)
         noise = float(np.linalg.norm(np.sqrt(np.diagonal(points[0].noise)) / self.scale))
         usual = np.where(gains > 0.0, VISIBLE * (noise or 1.0) / np.where(gains > 0.0, gains, 1.0), 0.0)
@@ -394,35 +390,15 @@ class _Plan:
             width = np.subtract(high, low)
             usual = np.maximum(usual, np.where(np.isfinite(width), SHARE * width, 0.0))
         given = usual if size is None else np.where(np.isnan(size), usual, size)
-        if not given.any() and not noise:
-            mend = "give a --load, or --objective integral"
-            raise InputError("neither noise nor a load step moves it: no variance is the least", file=self.model.name, mend=mend)
         return Loads(given, RARE * max(own.settling for own in points) if every is None else every)
 
     def variance(self, plants: Sequence[FrozenPoint], weights: np.ndarray) -> Variance:
         return Variance([own.disturbed(self.loads) for own in plants], weights, self.model.dt, self.Tf)
 
-    def improved(
-        self, tuning: Tuning[FrozenPoint], path: Sequence[np.ndarray], enough: float, quiet: bool
-    ) -> Sequence[np.ndarray]:
-        """Gains within the bounds that lead from the last of `path` to what the objective asks for."""
-        task, variance = Task(tuning), self.variance(tuning.plants, tuning.weights)
-        if quiet and (found := quietest(variance, task, path[-1:])) is not None:
-            return [found]
-        calm = list(tune(tuning, starts=path[::-1], enough=enough).path)
-        return [found] if quiet and (found := quietest(variance, task, calm[-1:])) is not None else calm
-
-    def quietest_alone(self, rho: Any, omega: np.ndarray, starts: Sequence[np.ndarray]) -> np.ndarray:
-        """The gains of least variance for one knot, reached from these; the first where none is."""
-        tuning = self.tuning([rho], np.ones((1, 1)), omega)
-        found = quietest(self.variance(tuning.plants, tuning.weights), Task(tuning), starts)
-        return starts[0] if found is None else found
-
     def deviations(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Standard deviations (m, ny) of the outputs at the knots, in their units, and under the best of all linear laws."""
-        points = self.at_knots()
-        reached = self.variance(points, self.basis(self.grid)).covariance(X)
-        least = [own.disturbed(self.loads).least() for own in points]
+        reached = self.variance(self.points, self.basis(self.grid)).covariance(X)
+        least = [own.disturbed(self.loads).least() for own in self.points]
         spread = lambda own: self.scale * np.sqrt(np.diagonal(np.array(own), axis1=1, axis2=2))  # noqa: E731
         return spread(reached), None if any(own is None for own in least) else spread(least)
 
@@ -456,22 +432,24 @@ class _Plan:
             raise InputError(f"{len(setpoint)} set-points", file=model.name, mend=f"one for each of {len(model.outputs)} outputs")
         return y if setpoint is None else np.broadcast_to(np.asarray(setpoint, dtype=float), y.shape)
 
+    @cached_property
+    def followed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """At every knot (m, nu, ny) Kr with all entries allowed, and Kr and Ka as the structure has them."""
+        whole = [own.held(np.ones_like(self.entries))[0] for own in self.points]
+        Kr, Ka = zip(*(own.held(self.entries) for own in self.points), strict=True)
+        return np.array(whole), np.array(Kr) * self.structure.feedforward, np.array(Ka) * self.structure.feedforward
+
     def steady_inputs(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kr (m, nu, ny) and u0 (m, nu) at every knot: u0 + Kr r holds r = held (m, ny), with all entries allowed every r."""
         point = self.model.operating_point
         phi = point.basis(self.grid)
         u, y = phi @ point.u, phi @ point.y
-        whole, Kr = (np.array([own.held(entries)[0] for own in self.at_knots()]) for entries in (self.every, self.entries))
-        Kr *= self.structure.feedforward
+        whole, Kr, _ = self.followed
         return Kr, u + np.einsum("iuy,iy->iu", whole, held - y) - np.einsum("iuy,iy->iu", Kr, held)
-
-    def rates(self) -> np.ndarray:
-        """Ka (m, nu, ny) at every knot."""
-        return np.array([own.held(self.entries)[1] for own in self.at_knots()]) * self.structure.feedforward
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:
         """sigma_min(P(0) Ki) at the knots, outputs in units of `scale`."""
-        lows = [self.frozen(self.model, rho, self.scale).gain @ (law.gains_at(rho)[1] * self.scale) for rho in self.grid]
+        lows = [own.gain @ (law.gains_at(rho)[1] * self.scale) for own, rho in zip(self.points, self.grid, strict=True)]
         return np.linalg.svd(np.array(lows), compute_uv=False)[:, -1]
 
     # ---- what was found, checked -----------------------------------------------------------------------------------------

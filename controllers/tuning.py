@@ -25,7 +25,7 @@ and calmer ones with at most half of its effort, as laws for tighter bounds have
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -64,9 +64,6 @@ class Frozen(Protocol):
         ...
 
 
-Plant = TypeVar("Plant", bound=Frozen)
-
-
 @record
 class Tuned:
     """Gains X (nq, m, nu, ny) of the parts of the law, and per plant t_i = sigma_min(P(0) Ki) and the peaks reached.
@@ -83,7 +80,7 @@ class Tuned:
 
 
 @record
-class Tuning(Generic[Plant]):
+class Tuning:
     """What is tuned: a law on plants, within bounds.
 
     weights (n, m): basis functions at the plants' schedule values. parts(omega) (N, nq): what the gains are multiplied with,
@@ -94,7 +91,7 @@ class Tuning(Generic[Plant]):
     room: the programs keep the bounds by this share more, for what lies between their frequencies.
     """
 
-    plants: Sequence[Plant]
+    plants: Sequence[Frozen]
     weights: np.ndarray
     parts: Callable[[np.ndarray], np.ndarray]
     omega: np.ndarray

@@ -134,19 +134,18 @@ class Variance:
         nx = max(len(own.A) for own in plants)
 
         def stacked(key: str, *axes: int) -> np.ndarray:
-            wide = [(0, nx - len(own.A)) for own in plants]
-            return np.stack(
-                [
-                    np.pad(getattr(own, key), [by if i in axes else (0, 0) for i in (0, 1)])
-                    for own, by in zip(plants, wide, strict=True)
-                ]
-            )
+            filled = [[(0, (nx - len(own.A)) * (i in axes)) for i in (0, 1)] for own in plants]
+            return np.stack([np.pad(getattr(own, key), by) for own, by in zip(plants, filled, strict=True)])
 
         self.A, self.B, self.C, self.K = stacked("A", 0, 1), stacked("B", 0), stacked("C", 1), stacked("K", 0)
         self.D, self.noise = stacked("D"), stacked("noise")
         self.load, self.weights, self.dt = np.stack([own.load for own in plants]), np.asarray(weights, dtype=float), dt
         self.g = 1.0 / (Tf + dt)
         self.a = Tf * self.g
+
+    def poles(self, X: np.ndarray) -> np.ndarray:
+        """Poles of the loops (n, nx + nu + ny); those of what a plant is filled up with are 0."""
+        return np.linalg.eigvals(self._loop(X).F)
 
     def covariance(self, X: np.ndarray) -> np.ndarray | None:
         """E y y' (n, ny, ny), or None where a loop is unstable."""

@@ -3,8 +3,6 @@
 P(z) = C (z - A)^-1 B + D has no value at z = 1 where the system integrates, and none that tells anything where it is unstable.
 """
 
-from typing import Any
-
 import numpy as np
 from scipy.linalg import null_space, schur, solve_discrete_lyapunov, solve_sylvester
 
@@ -28,24 +26,26 @@ def gain(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, free: bool 
     """
     if not (integrates(A) if free is None else free):
         return C @ np.linalg.solve(np.eye(len(A)) - A, B) + D
-    T, Z, slow = _slow_first(A)
-    B, C = Z.T @ B, C @ Z
-    Y = (
-        solve_sylvester(T[:slow, :slow], -T[slow:, slow:], -T[:slow, slow:])
-        if 0 < slow < len(A)
-        else np.zeros((slow, len(A) - slow))
-    )
+    T, Z, slow = schur(A, output="real", sort=lambda re, im: abs(complex(re, im)) > 1.0 - BEYOND)  # type: ignore[misc]
+    B, C, n = Z.T @ B, C @ Z, len(A)
+    Y = np.zeros((slow, n - slow))
+    if 0 < slow < n:
+        Y = solve_sylvester(T[:slow, :slow], -T[slow:, slow:], -T[:slow, slow:])
     z = max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 1.0) + BEYOND
     moved = C[:, :slow] @ np.linalg.solve(z * np.eye(slow) - T[:slow, :slow], B[:slow] - Y @ B[slow:])
-    at_rest = (C[:, :slow] @ Y + C[:, slow:]) @ np.linalg.solve(np.eye(len(A) - slow) - T[slow:, slow:], B[slow:]) + D
+    at_rest = (C[:, :slow] @ Y + C[:, slow:]) @ np.linalg.solve(np.eye(n - slow) - T[slow:, slow:], B[slow:]) + D
     sizes = np.linalg.norm(moved, axis=1), np.linalg.norm(at_rest, axis=1)
     return np.where((sizes[0] > NOUGHT * sizes[1])[:, None], moved, at_rest)
 
 
-def _slow_first(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Schur's form with slow modes first, its vectors, and how many are slow."""
-    found: Any = schur(A, output="real", sort=lambda re, im: abs(complex(re, im)) > 1.0 - BEYOND)
-    return found
+def dying(A: np.ndarray, X: np.ndarray, samples: float, points: int) -> tuple[int, np.ndarray]:
+    """How many samples lie between them, and A^k X (points, nx, n) of so many k from 0 on that reach as far as `samples`."""
+    every, found = int(np.ceil(samples / points)), []
+    stride = np.linalg.matrix_power(A, every)
+    for _ in range(points):
+        found.append(X)
+        X = stride @ X
+    return every, np.array(found)
 
 
 def rests(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

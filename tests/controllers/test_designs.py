@@ -321,6 +321,8 @@ def test_a_law_for_more_inputs_than_outputs_is_refused_at_once():
         ScheduledPIDDesign().design(wide)
     with pytest.raises(InputError, match="neither noise nor a load step"):
         ScheduledPIDDesign(load={"F": 0.0}).design(replace(plant, noise=None))
+    mended = ScheduledPIDDesign(load={"F": 0.0}, objective="integral").design(replace(plant, noise=None))
+    np.testing.assert_allclose(mended.deviation, 0.0, atol=1e-12)
 
 
 def test_a_quiet_sensor_beside_a_noisy_one_does_not_end_the_integral_action():

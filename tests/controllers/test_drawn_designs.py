@@ -8,8 +8,9 @@ import pytest
 from scipy import signal
 
 from controllers.pid import pid
-from controllers.pid_design import FrozenPoint, design_pid
+from controllers.pid_design import FrozenPoint, Loads, design_pid
 from controllers.tuning import Tuning, tune
+from controllers.variance import Variance
 from tests.controllers.drawn import (
     COMPLEMENTARY,
     EFFORT,
@@ -98,6 +99,10 @@ def test_what_was_refused_or_did_not_end():
         reached = judge(plant, designed(plant, asked)).action[0]
 
 
+def loops(point, Tf):
+    return Variance([point.disturbed(Loads(np.zeros(point.B.shape[1]), 1.0))], np.ones((1, 1)), point.dt, Tf)
+
+
 @pytest.mark.parametrize("feedthrough", [0.0, 0.1])
 @pytest.mark.parametrize("Tf", [0.0, 0.25])
 def test_poles_are_those_of_python_control(feedthrough, Tf):
@@ -105,7 +110,8 @@ def test_poles_are_those_of_python_control(feedthrough, Tf):
     A, B, C = np.diag([0.9, 0.6, -0.2]), random.normal(size=(3, 3)), random.normal(size=(2, 3))
     D, scale = feedthrough * random.normal(size=(2, 3)), np.array([2.0, 0.5])
     Kp, Ki, Kd = (random.normal(size=(3, 2)) * size for size in (0.3, 0.5, 0.02))
-    found = FrozenPoint(None, dt, A, B, C, D, scale, np.zeros((3, 2)), np.zeros((2, 2))).poles(Kp, Ki, Kd, Tf)
+    point = FrozenPoint(None, dt, A, B, C, D, scale, np.zeros((3, 2)), np.zeros((2, 2)))
+    found = loops(point, Tf).poles(np.stack([Kp, Ki, Kd])[:, None])[0]
     law = pid("abc", "de", ("r", "s"), dt, Kp, Ki, Kd, Tf=Tf).at()
     plant = control.ss(A, B, C / scale[:, None], D / scale[:, None], dt)
     expected = control.feedback(plant, control.ss(law.A, -law.B[:, 2:], law.C, -law.D[:, 2:], dt)).poles()
@@ -137,7 +143,7 @@ def test_a_step_that_loses_the_loop_is_never_taken():
     looked = []
 
     def closed(X):
-        poles = point.poles(X[0, 0], X[1, 0], np.zeros((1, 1)), 0.0)
+        poles = loops(point, 0.0).poles(X)[0]
         looked.append(np.abs(poles).max())
         return np.unique(np.abs(np.angle(poles))) + 1e-6 if looked[-1] < 1.0 else None
 
@@ -148,7 +154,7 @@ def test_a_step_that_loses_the_loop_is_never_taken():
     omega = np.array([1e-4, 1e-3, 1e-2, 0.1, 0.2, 0.4, 1.4, 2.0, 3.0])
     found = tune(Tuning([plant], np.ones((1, 1)), parts, omega, Bounds(2.0, 2.0, 5.0), closed=closed))
     for X in found.path:
-        assert np.abs(point.poles(X[0, 0], X[1, 0], np.zeros((1, 1)), 0.0)).max() < 1.0
+        assert np.abs(loops(point, 0.0).poles(X)).max() < 1.0
     blind = tune(Tuning([plant], np.ones((1, 1)), parts, omega, Bounds(2.0, 2.0, 5.0)))
     lost = np.abs(point.poles(blind.X[0, 0], blind.X[1, 0], np.zeros((1, 1)), 0.0)).max()
     assert lost > 1.0  # the frequencies alone do lose it: the poles are what keeps it
