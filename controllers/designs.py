@@ -54,8 +54,8 @@ class ScheduledPIDDesign:
     most integral action. load: size of load steps by input, each one on average every load_every s; size: deviations that count
     as equally large by output; see `design_pid` for what is left out. robust_to: models that must be kept too.
 
-        >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(5.0).Kp.round(2)
-        array([[0.64]])
+        >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(0.0).Kp.round(2)
+        array([[0.41]])
     """
 
     sensitivity: float = field("", low=1.0 + 1e-9, default=1.6)
