@@ -10,7 +10,8 @@ PACKAGES = ("workbench", "controllers", "plants", "studies")
 
 NAMES = (
     "web-winding", "winding-models", "welding-robot", "emps", "winding-records", "hidden-effects", "strangers", "real-records",
-    "controller-comparison", "robust-winding", "pid-bandwidth", "sampling-time", "noise-level", "record-count", "detection-rate",
+    "benchmarks", "controller-comparison", "robust-winding", "pid-bandwidth", "sampling-time", "noise-level", "record-count",
+    "detection-rate",
 )  # fmt: skip
 
 #: What imports a study, by its name.

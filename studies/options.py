@@ -69,8 +69,9 @@ def _identify(sub: argparse.ArgumentParser) -> None:
         "--model",
         default="all",
         metavar="M",
-        help="lti, ilm, ssm, oe (one or two poles and a dead time), interval, several (lti,interval), all (lti,ilm,ssm,oe), or "
-        "best: chosen on the estimation records",
+        help="lti, ilm, ssm, oe (one or two poles and a dead time), lpv-oe (by free runs, over the schedule), hammerstein "
+        "(static curves of the inputs, lost signs of outputs), interval, several (lti,interval), all (lti,ilm,ssm,oe), or best: "
+        "chosen on the estimation records",
     )
     sub.add_argument("--order", type=_positive, help="model order (default: chosen on the estimation records)")
     sub.add_argument(

@@ -7,6 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MODULES = {
     "workbench": "workbench/__init__.pyi",
+    "workbench.hammerstein": "workbench/hammerstein.py",
     "workbench.intervals": "workbench/intervals/__init__.pyi",
     "workbench.physics.effects": "workbench/physics/effects/__init__.py",
     "workbench.sweeps": "workbench/sweeps/__init__.py",

@@ -17,6 +17,7 @@ from .data import Channel as Channel
 from .data import Dataset as Dataset
 from .data import Experiment as Experiment
 from .errors import InputError as InputError
+from .identification.hammerstein import HammersteinWiener as HammersteinWiener
 from .identification.ilm import ILM as ILM
 from .identification.lti import LTI as LTI
 from .identification.output_error.method import OutputError as OutputError
@@ -24,7 +25,6 @@ from .identification.output_error.state_space import LPVOutputError as LPVOutput
 from .identification.ssm import SSM as SSM
 from .identification.subspace import N4SID as N4SID
 from .identification.subspace import PBSID as PBSID
-from .intervals.coverage import cover as cover
 from .intervals.model import IntervalModel as IntervalModel
 from .intervals.model import load_interval_model as load_interval_model
 from .intervals.regression import IntervalRegression as IntervalRegression

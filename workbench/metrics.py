@@ -11,6 +11,7 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import nullable
+from workbench.hammerstein import HammersteinWienerModel
 from workbench.lpv import LPVModel
 from workbench.records import record
 
@@ -100,7 +101,10 @@ class Score:
 
 
 def score(
-    model: LPVModel, dataset: Dataset, split: Split, horizons: Iterable[Horizon] = ("free-run", "one-step", 25)
+    model: LPVModel | HammersteinWienerModel,
+    dataset: Dataset,
+    split: Split,
+    horizons: Iterable[Horizon] = ("free-run", "one-step", 25),
 ) -> tuple[Score, ...]:
     """FIT = 100 (1 - |y - ys| / |y - mean y|), RM and RMSE by record, horizon and output, on the rows after the warm-up.
 
@@ -158,7 +162,7 @@ def to_json(models: Iterable[tuple[Any, str, Iterable[Score]]], provenance: dict
     }
 
 
-def _run(model: LPVModel, experiment, horizon: Horizon) -> np.ndarray:
+def _run(model: LPVModel | HammersteinWienerModel, experiment, horizon: Horizon) -> np.ndarray:
     if horizon == "free-run":
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may leave the numbers: FIT is then -inf
             return model.simulate(experiment)

@@ -14,9 +14,12 @@ from workbench.answers.objections import refereed
 from workbench.answers.scored import ScoredModel, scores_file
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
+from workbench.hammerstein import SCHEMA as CURVED
+from workbench.hammerstein import load_hammerstein
 from workbench.intervals.coverage import cover
-from workbench.intervals.model import SCHEMA, IntervalModel, load_interval_model
-from workbench.lpv import LPVModel, load_model
+from workbench.intervals.model import SCHEMA as INTERVAL
+from workbench.intervals.model import IntervalModel, load_interval_model
+from workbench.lpv import load_model
 from workbench.provenance import provenance
 from workbench.report.page import write_report
 from workbench.residuals import residual_test
@@ -35,7 +38,7 @@ def run(options: Namespace) -> int:
     shown: Any = None  # the records with the roles of the first model
     for path, model in zip(options.models, models, strict=True):
         outputs = (model.output,) if isinstance(model, IntervalModel) else model.outputs
-        schedules = model.schedules if isinstance(model, LPVModel) else (model.schedule,) if model.schedule else ()
+        schedules = ((model.schedule,) if model.schedule else ()) if isinstance(model, IntervalModel) else model.schedules
         dataset = read(
             *options.holdout,
             inputs=[c.name for c in model.inputs],
@@ -73,13 +76,12 @@ def run(options: Namespace) -> int:
 
 
 def _load_models(paths: list[str]) -> list:
-    """The models of these files, LPV or interval; a scores file that lies beside them is passed over."""
+    """The models of these files, of any kind; a scores file that lies beside them is passed over."""
     for path in paths:
         if paths.count(path) > 1:
             raise InputError("is named twice", file=path, mend="name each model once")
     paths[:] = [path for path in paths if Path(path).name != "scores.json" or len(paths) == 1]
     content = [read_json(path) for path in paths]
-    interval = [isinstance(c, dict) and c.get("schema") == SCHEMA for c in content]
-    return [
-        load_interval_model(path) if is_interval else load_model(path) for path, is_interval in zip(paths, interval, strict=True)
-    ]
+    readers = {INTERVAL: load_interval_model, CURVED: load_hammerstein}
+    kinds = [str(c.get("schema")) if isinstance(c, dict) else "" for c in content]
+    return [readers.get(kind, load_model)(path) for path, kind in zip(paths, kinds, strict=True)]

@@ -13,7 +13,7 @@ from workbench.data import Dataset
 from workbench.decimation import thinned
 from workbench.errors import check_known
 from workbench.files import write_bytes
-from workbench.identification import METHODS
+from workbench.identification import CURVED, METHODS
 from workbench.provenance import provenance
 from workbench.sources import read
 
@@ -22,11 +22,12 @@ INTERVAL = "interval"  # the model kind beside the methods of `workbench.identif
 
 def run(options: Namespace) -> int:
     """Identify, say what is to be known of the records and the models, and write models, scores and the page."""
+    known = METHODS | CURVED
     wanted = tuple(METHODS) if options.model in ("all", "best") else names(options.model)
     for method in wanted:
-        check_known("model", method, (*METHODS, INTERVAL, "all", "best"))
+        check_known("model", method, (*known, INTERVAL, "all", "best"))
     interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
-    methods = {name: METHODS[name](**_method_options(options, name)) for name in wanted if name != INTERVAL}
+    methods = {name: known[name](**_method_options(options, name)) for name in wanted if name != INTERVAL}
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
     held_out = _read(options.holdout, roles, options.dt) if options.holdout else None
     given = prepared(_read(options.records, roles, options.dt), held_out, options.dt)
@@ -64,6 +65,8 @@ def run(options: Namespace) -> int:
 def _method_options(options: Namespace, method: str) -> dict[str, Any]:
     """What the options ask of a method."""
     own: dict[str, Any] = {} if options.order is None else {"order": options.order}
+    if method in CURVED:  # its order is that of what lies behind the curves
+        own = {"core": METHODS["lti"](**own, resamples=0)} if own else {}
     if method == "oe" and own.get("order", 0) > 2:  # a floor stays one
         del own["order"]
     if options.feedthrough is not None and method in ("lti", "ssm", "lpv-oe"):

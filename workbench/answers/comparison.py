@@ -9,6 +9,7 @@ from workbench.answers.envelopes import covered_verdict, envelope_sections
 from workbench.answers.scored import ScoredModel
 from workbench.data import Experiment
 from workbench.errors import InputError
+from workbench.hammerstein import Curve, HammersteinWienerModel
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.metrics import Score
@@ -16,8 +17,10 @@ from workbench.report import figures
 from workbench.report.blocks import Picture, Provenance, Report, Section, Table, Text
 from workbench.residuals import residual_test
 
+Model = LPVModel | HammersteinWienerModel
 
-def traces(e: Experiment, models: Mapping[str, LPVModel], output: str) -> Picture:
+
+def traces(e: Experiment, models: Mapping[str, Model], output: str) -> Picture:
     """One output of a record, measured and simulated by each model (free run), with the error and the schedule."""
     simulated: dict[str, np.ndarray] = {}
     schedules: dict[str, figures.Trace] = {}
@@ -30,7 +33,7 @@ def traces(e: Experiment, models: Mapping[str, LPVModel], output: str) -> Pictur
     return figures.measured_and_simulated(e.name, e.t, measured, simulated, tuple(schedules.values()))
 
 
-def residual_table(models: Mapping[str, LPVModel], records: Iterable[Experiment], *, closed_loop: bool | None = None) -> Table:
+def residual_table(models: Mapping[str, Model], records: Iterable[Experiment], *, closed_loop: bool | None = None) -> Table:
     """Family-wise p-values of the whiteness of one-step errors and of their correlation with the inputs."""
     rows: list[tuple] = []
     columns: dict[str, None] = {}
@@ -53,6 +56,16 @@ def residual_table(models: Mapping[str, LPVModel], records: Iterable[Experiment]
     )
 
 
+def curve_picture(model: HammersteinWienerModel, curve: Curve) -> Picture:
+    """v = f(u) of an input over what was seen of it, with the straight line that a linear model has in its place."""
+    u = np.union1d(np.linspace(curve.u[0], curve.u[-1], 101), curve.u)
+    channel = next(c for c in model.inputs if c.name == curve.input)
+    drawn = {"curve": curve(u), "straight": u}
+    caption = f"What {model.name} acts on in place of {curve.input}; its scale is that of {curve.input}, the gain is the model's."
+    title = f"{model.name}: static curve of {curve.input}"
+    return figures.over_schedule(title, figures.Trace(channel, u), {f"f({curve.input})": drawn}, caption)
+
+
 def score_table(scores: Sequence[Score]) -> Table:
     """Every score, a row each."""
     return Table(
@@ -66,7 +79,8 @@ def score_table(scores: Sequence[Score]) -> Table:
 def comparison(title: str, results: Sequence[ScoredModel], records: Sequence[Experiment], source: Mapping[str, Any]) -> Report:
     """A page: which model runs free best on held-out records, then scores, traces on `records`, envelopes, residuals, notes."""
     scores = [s for result in results for s in result.scores]
-    named = {result.model.name: result.model for result in results if isinstance(result.model, LPVModel)}
+    named = {result.model.name: result.model for result in results if not isinstance(result.model, IntervalModel)}
+    curved = [model for model in named.values() if isinstance(model, HammersteinWienerModel) and model.curves]
     interval = [result.model for result in results if isinstance(result.model, IntervalModel)]
     envelopes = [c for result in results for c in result.envelopes]
     outputs = list(dict.fromkeys(s.output for s in scores))
@@ -76,6 +90,10 @@ def comparison(title: str, results: Sequence[ScoredModel], records: Sequence[Exp
     if named:
         shown = tuple(traces(e, named, output) for e in records for output in outputs)
         sections += [Section("Measured and simulated", shown), Section("Residuals", (residual_table(named, records),))]
+    if curved:
+        sections.append(
+            Section("Static curves", tuple(curve_picture(model, curve) for model in curved for curve in model.curves))
+        )
     notes = [f"{result.model.name}: {note}" for result in results for note in result.model.notes]
     if notes:
         sections.append(Section("Notes", (Text("\n\n".join(notes)),)))

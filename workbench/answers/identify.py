@@ -22,8 +22,10 @@ from workbench.data import Channel, Dataset, check_held_out
 from workbench.decimation import thinned
 from workbench.errors import InputError, check_known
 from workbench.files import write_json
-from workbench.identification import METHODS
+from workbench.hammerstein import HammersteinWienerModel
+from workbench.identification import CURVED, METHODS
 from workbench.identification.criterion import ByCriterion
+from workbench.identification.hammerstein import HammersteinWiener
 from workbench.identification.schedules import schedules_of
 from workbench.identification.selection import Choice, Method, choose
 from workbench.intervals.coverage import cover
@@ -36,8 +38,11 @@ from workbench.report.blocks import Report
 from workbench.report.page import write_report
 
 SCORES_FILE = "scores.json"
+Model = LPVModel | HammersteinWienerModel
 LATE = "lpv-oe"  # takes minutes: over one schedule variable it is tried where the others leave much to do
-GOOD, FEW = 90.0, 5000  # free-run FIT below which it is, and on how many samples at most without being asked for
+CURVES = "hammerstein"  # its models are not LPV models: it is tried where none of those follows the records
+GOOD, FEW = 90.0, 5000  # free-run FIT below which these are tried, and on how many samples at most without being asked for
+MUCH_BETTER = 0.7  # of the error of free runs: what curves must do to be spoken of
 
 
 def identify(
@@ -48,7 +53,8 @@ def identify(
     """LPV models of the outputs of `records` from their inputs over their schedule, scored on `held_out` records.
 
     methods: names ("lti", "ilm", "ssm", "oe", "lpv-oe"), or methods by name such as {"ssm": SSM(order=3)}; default all, for one
-    schedule variable the last only where the others run at a FIT below GOOD. best: only the one of them that runs best on parts
+    schedule variable the last only where the others run at a FIT below GOOD. "hammerstein" puts static curves before the inputs:
+    it is for who asks for it, and where all others fail. best: only the one of them that runs best on parts
     of `records` that it was not fitted to; default where no methods are named, otherwise each is fitted. criterion: "prediction"
     as the methods do, "simulation" with every model refined by the error of its free runs, "best" where that runs better on parts
     of `records` (see `ByCriterion`). interval: an interval method that is fitted beside them. dt [s]: sample time to bring the
@@ -66,7 +72,8 @@ def identify(
     if interval is not None:  # first, for it refuses most
         progress("interval: identifying")
         bounded = fit_outputs(interval, given.own)
-    choice, models, remarks = _fitted(named, given.own, chosen, progress) if named else (None, {}, [])
+    every = set(by_name) == set(METHODS)
+    choice, models, remarks = _fitted(named, given.own, chosen, every, progress) if named else (None, {}, [])
     put_off = {LATE: ByCriterion(by_name[LATE], criterion)} if _put_off(by_name, given.own) else {}
     if put_off and choice and choice.fit[choice.method] < GOOD and sum(map(len, given.own)) <= FEW:
         choice = choose(put_off, given.own, beside=choice, progress=progress)
@@ -84,8 +91,8 @@ def identify(
         results.append(ScoredModel(model, f"{name}.json", tuple(c.nominal for c in envelopes), envelopes))
     split = "held-out" if given.held_out else "estimation"
     runs = [s.FIT for own in results for s in own.scores if (s.split, s.horizon) == (split, "free-run")]
-    if put_off and runs and max(runs) < GOOD:
-        remarks.append(f"note: no free run has a FIT of {GOOD:g}: --model {LATE} fits free runs over the schedule, in minutes")
+    if every and runs and max(runs) < GOOD:
+        remarks += _others(bool(put_off), max(runs), models, given.own, progress)
     results = refereed(results, given.own, given.shown)
     results, below = above_floor(results)
     return IdentificationResult(tuple(results), given, choice, (*remarks, *below), accept)
@@ -114,7 +121,7 @@ class IdentificationResult(Answer):
         return tuple(result for result in self.results if self.accepted or not result.against)
 
     @property
-    def models(self) -> dict[str, LPVModel | IntervalModel]:
+    def models(self) -> dict[str, Model | IntervalModel]:
         """The models that are handed out, by name."""
         return {Path(result.file).stem: result.model for result in self.kept}
 
@@ -181,7 +188,7 @@ class IdentificationResult(Answer):
 
 
 def scores_of(
-    model: LPVModel, estimation: Dataset | None, held_out: Dataset | None, steps: int
+    model: Model, estimation: Dataset | None, held_out: Dataset | None, steps: int
 ) -> tuple[tuple[Score, ...], list[str]]:
     """Free run, one step and `steps` steps ahead; and a warning for each held-out record whose schedule leaves its span."""
     horizons: tuple[Horizon, ...] = ("free-run", "one-step", steps)
@@ -202,7 +209,8 @@ def scores_of(
 
 
 def _method(name: str) -> Method:
-    return METHODS[check_known("method", name, METHODS)]()
+    known = METHODS | CURVED
+    return known[check_known("method", name, known)]()
 
 
 def prepared(own: Dataset, held_out: Dataset | None, dt: float | None) -> Records:
@@ -259,13 +267,22 @@ def _unfit(schedules: Sequence[Channel]) -> Iterator[tuple[str, str]]:
 
 
 def _fitted(
-    methods: Mapping[str, Method], records: Dataset, chosen: bool, progress: Progress
-) -> tuple[Choice | None, dict[str, LPVModel], list[str]]:
-    """Every method fitted, or the one that runs best on what it was not fitted to; and which could not be, and why."""
+    methods: Mapping[str, Method], records: Dataset, chosen: bool, every: bool, progress: Progress
+) -> tuple[Choice | None, dict[str, Model], list[str]]:
+    """Every method fitted, or the one that runs best on what it was not fitted to; and which could not be, and why.
+
+    every: where none of all methods runs better than the mean, curves of the inputs and lost signs of outputs are tried.
+    """
     if chosen:
-        choice = choose(methods, records, progress=progress)
+        try:
+            choice = choose(methods, records, progress=progress)
+        except InputError as reason:
+            curved = _curved(records, progress) if every else None
+            if curved is None:
+                raise
+            return None, {CURVES: curved}, [f"note: {reason.problem}; with static curves or signs they can be"]
         return choice, {choice.method: choice.model}, _chosen_of(choice)
-    models: dict[str, LPVModel] = {}
+    models: dict[str, Model] = {}
     reasons: dict[str, InputError] = {}
     for name, method in methods.items():
         progress(f"{name}: identifying")
@@ -280,6 +297,34 @@ def _fitted(
         for name, reason in reasons.items()
     ]
     return None, models, said
+
+
+def _curved(records: Dataset, progress: Progress) -> HammersteinWienerModel | None:
+    """A Hammerstein-Wiener model, where there is one."""
+    progress(f"{CURVES}: identifying, for no other method follows these records")
+    try:
+        return HammersteinWiener().fit(records)
+    except InputError:
+        return None
+
+
+def _others(late: bool, best: float, models: Mapping[str, Model], records: Dataset, progress: Progress) -> list[str]:
+    """Which methods that were not tried may run better than a FIT of `best`."""
+    said = []
+    if late:
+        said.append(f"note: no free run has a FIT of {GOOD:g}: --model {LATE} fits free runs over the schedule, in minutes")
+    if CURVES in models or sum(map(len, records)) > FEW:
+        return said
+    progress(f"{CURVES}: looked for, no free run has a FIT of {GOOD:g}")
+    try:
+        seen = HammersteinWiener().look(records)
+    except InputError:
+        return said
+    if (seen.nodes or seen.unsigned) and MUCH_BETTER * (100.0 - best) > 100.0 - seen.FIT:
+        signs = f" and signs of {', '.join(seen.unsigned)}" if seen.unsigned else ""
+        what = f"static curves of the inputs{signs}" if seen.nodes else signs.removeprefix(" and ")
+        said.append(f"note: with {what} free runs have a FIT of {seen.FIT:.1f} on what they were not fitted to: --model {CURVES}")
+    return said
 
 
 def _chosen_of(choice: Choice) -> list[str]:
@@ -297,7 +342,8 @@ def _chosen(choice: Choice) -> str:
     return fits + unsure
 
 
-def _remarks(name: str, model: LPVModel) -> list[str]:
+def _remarks(name: str, model: Model) -> list[str]:
     """What is to be known of a model."""
     seen = "outputs see the inputs of their own sample, which held commands cannot do (--no-feedthrough)"
-    return [*([f"note: {name}: {seen}"] if np.any(model.D) else []), *(f"note: {name}: {note}" for note in model.notes)]
+    direct = isinstance(model, LPVModel) and np.any(model.D)
+    return [*([f"note: {name}: {seen}"] if direct else []), *(f"note: {name}: {note}" for note in model.notes)]

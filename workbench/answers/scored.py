@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from workbench.hammerstein import HammersteinWienerModel
 from workbench.intervals.coverage import Coverage
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
@@ -14,7 +15,7 @@ from workbench.records import record
 class ScoredModel:
     """A model, its file, its scores, and for an interval model its envelopes; against: why it is not handed out, if it is not."""
 
-    model: LPVModel | IntervalModel
+    model: LPVModel | HammersteinWienerModel | IntervalModel
     file: str
     scores: tuple[Score, ...]
     envelopes: tuple[Coverage, ...] = ()

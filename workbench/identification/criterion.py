@@ -12,6 +12,7 @@ import numpy as np
 
 from workbench.data import Dataset
 from workbench.errors import check_known
+from workbench.identification.hammerstein import HammersteinWiener
 from workbench.identification.output_error.method import OutputError
 from workbench.identification.output_error.refine import refinable, refined, work
 from workbench.identification.output_error.state_space import LPVOutputError
@@ -23,7 +24,7 @@ from workbench.records import record
 Criterion = Literal["best", "prediction", "simulation"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
 MOST = 1e9  # multiplications of one pass along the records, some seconds: beyond that a refinement must be asked for
-BY_FREE_RUNS = (OutputError, LPVOutputError)  # methods whose criterion is that already
+BY_FREE_RUNS = (OutputError, LPVOutputError, HammersteinWiener)  # methods whose criterion is that already
 BETTER = 0.5  # points of FIT on the parts: what a refinement must gain
 
 

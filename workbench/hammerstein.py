@@ -1,0 +1,287 @@
+"""Hammerstein-Wiener models: a static curve before each input of an LPV model, and sensors that show a size without its sign.
+
+    v_i = f_i(u_i),   z = G(rho) v,   y_j = z_j,  or |z_j| of a sensor that is blind to the sign
+
+f is piecewise linear through nodes. Thrust that grows as the square of a speed, the curve of a valve, a dead zone and the loss of
+dry friction at rest are such curves; a pulse counter on a shaft that turns both ways is such a sensor.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from workbench.data import Channel, Experiment
+from workbench.errors import InputError, check_known
+from workbench.files import read_json, write_json
+from workbench.lpv import LPVModel, model_from_dict
+from workbench.records import field, record
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["Curve", "HammersteinWienerModel", "load_hammerstein"]
+
+SCHEMA = "gain-scheduling-workbench/hammerstein-wiener-model"
+VERSION = 1
+SETTLED = 200  # passes along a record, after which its signs are taken as they are
+
+
+@record
+class Curve:
+    """v = f(u) of one input: straight lines between nodes (u, v), and on along the first and the last one.
+
+    v is in the unit of u, with the mean and the standard deviation of u in the estimation records: the gain is the model's.
+
+        >>> Curve("valve", [0.0, 1.0, 2.0], [0.0, 0.5, 2.0])(np.array([0.5, 1.5, 3.0]))
+        array([0.25, 1.25, 3.5 ])
+    """
+
+    input: str
+    u: np.ndarray = field("n")
+    v: np.ndarray = field("n")
+
+    def __post_init__(self):
+        if len(self.u) < 2 or np.any(np.diff(self.u) <= 0.0):
+            raise InputError("nodes of a curve", channel=self.input, mend="give at least two, from the lowest u to the highest")
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """f(u) of any shape."""
+        i = self._segment(u)
+        return self.v[i] + self.slopes[i] * (u - self.u[i])
+
+    def slope(self, u: np.ndarray) -> np.ndarray:
+        """df/du; at a node that of the line after it."""
+        return self.slopes[self._segment(u)]
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """Slope of each line, (n - 1,)."""
+        return np.diff(self.v) / np.diff(self.u)
+
+    @property
+    def rising(self) -> bool:
+        """Whether it rises everywhere: then every v has one u."""
+        return bool(np.all(self.slopes > 0.0))
+
+    def inverse(self, v: np.ndarray) -> np.ndarray:
+        """The u with f(u) = v. Raises InputError for a curve that does not rise everywhere."""
+        if not self.rising:
+            raise InputError("the curve does not rise everywhere: some v have several u, or none", channel=self.input)
+        return Curve(self.input, self.v, self.u)(v)
+
+    def _segment(self, u: np.ndarray) -> np.ndarray:
+        return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
+
+
+@record
+class HammersteinWienerModel:
+    """An LPV model `core` of v = f(u), of which the sensors `unsigned` show |z|; scored and saved like every other model.
+
+    curves: of some inputs, the others act as they are. Runs, predictions and `to_control` are in u and y.
+
+        >>> curved = HammersteinWiener().fit(fan)
+        >>> [c.input for c in curved.curves], curved.simulate(fan_held_out.experiments[0]).shape
+        (['u'], (720, 1))
+    """
+
+    name: str
+    core: LPVModel = field()
+    curves: tuple[Curve, ...] = ()
+    unsigned: tuple[str, ...] = ()
+    noise: np.ndarray | None = None  # (ny, ny) covariance of the one-step prediction error
+    trained_on: tuple[str, ...] = ()  # fingerprints of the estimation records
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        for curve in self.curves:
+            check_known("input", curve.input, [c.name for c in self.core.inputs])
+        for name in self.unsigned:
+            check_known("output", name, [c.name for c in self.core.outputs])
+        if self.core.scheduled_output is not None:
+            mend = "take a schedule from outside, or none"
+            raise InputError("static curves around a model whose schedule is its own output", file=self.name, mend=mend)
+
+    @property
+    def dt(self) -> float:
+        return self.core.dt
+
+    @property
+    def inputs(self) -> tuple[Channel, ...]:
+        return self.core.inputs
+
+    @property
+    def outputs(self) -> tuple[Channel, ...]:
+        return self.core.outputs
+
+    @property
+    def schedules(self) -> tuple[Channel, ...]:
+        return self.core.schedules
+
+    @property
+    def spans(self) -> np.ndarray:
+        return self.core.spans
+
+    @property
+    def reach(self) -> float:
+        return self.core.reach
+
+    @property
+    def order(self) -> int:
+        return self.core.order
+
+    @property
+    def warmup(self) -> int:
+        """Samples after which the predictor has forgotten its initial state: rows before that are never scored."""
+        return self.core.warmup
+
+    # ---- records as the core reads them --------------------------------------------------------------------------
+
+    def curved(self, experiment: Experiment) -> Experiment:
+        """The record with v in place of u."""
+        return with_curves(experiment, self.curves)
+
+    def signs_of(self, z: np.ndarray) -> np.ndarray:
+        """Signs (N, unsigned) of what the core says of these outputs, z (N, ny); of 0 they are 1."""
+        own = [[c.name for c in self.outputs].index(name) for name in self.unsigned]
+        return np.where(z[:, own] < 0.0, -1.0, 1.0)
+
+    def shown(self, z: np.ndarray) -> np.ndarray:
+        """What the sensors show of z (N, ny)."""
+        own = [c.name in self.unsigned for c in self.outputs]
+        return np.where(own, np.abs(z), z)
+
+    # ---- simulation and prediction -------------------------------------------------------------------------------
+
+    def simulate(self, experiment: Experiment, *, warmup: int | None = None) -> np.ndarray:
+        """Free run: the outputs (N, ny) from the measured inputs and schedule alone.
+
+        Only the start is found on outputs, on the first `warmup` samples; default: the predictor's own memory.
+        """
+        return self.shown(self.run(experiment, warmup=warmup))
+
+    def run(self, experiment: Experiment, *, warmup: int | None = None) -> np.ndarray:
+        """The free run with its signs, z (N, ny); see `simulate`.
+
+        The start is found on the first samples, to which no sensor gave a sign: of all signs that stay there, and those of a
+        run from any start, that one counts under which the run errs least on them.
+        """
+        inner = self.curved(experiment)
+        if not self.unsigned:
+            return self.core.simulate(inner, warmup=warmup)
+        names, N = [c.name for c in self.outputs], len(experiment)
+        first = max(self.warmup if warmup is None else warmup, 1)
+        scale = np.maximum(experiment[names].std(axis=0), np.finfo(float).tiny)
+
+        def missed(z: np.ndarray) -> float:
+            with np.errstate(over="ignore", invalid="ignore"):
+                error = float(np.sum(((self.shown(z) - experiment[names]) / scale)[:first] ** 2))
+            return error if np.isfinite(error) else np.inf
+
+        still = [np.tile(s, (N, 1)) for s in _signs(len(self.unsigned))]
+        runs = [self.core.simulate(with_signs(inner, self.unsigned, s), warmup=warmup) for s in still]
+        runs += [self.core.simulate(with_signs(inner, self.unsigned, self.signs_of(z)), warmup=warmup) for z in runs]
+        return min(runs, key=missed)
+
+    def predict(self, experiment: Experiment, steps: int = 1) -> np.ndarray:
+        """y(k | k - steps), (N, ny); each measured size has the sign of what was predicted of it one step before."""
+        inner = self.curved(experiment)
+        if not self.unsigned:
+            return self.core.predict(inner, steps)
+        signs = self.signs_of(self.run(experiment))
+        # the sign at k follows from those before k: where no sign changes any more, each is that of its own prediction
+        for _ in range(SETTLED):
+            before, signs = signs, self.signs_of(self.core.predict(with_signs(inner, self.unsigned, signs)))
+            if np.array_equal(signs, before):
+                break
+        return self.shown(self.core.predict(with_signs(inner, self.unsigned, signs), steps))
+
+    def to_control(self, rho: Any = None, *, u: Any = None) -> "control.StateSpace":
+        """Small motions at a schedule value about inputs u (nu,), default those of the operating point there; of z where the
+        sensor is blind to its sign.
+        """
+        system, slopes = self.core.to_control(rho), np.ones(len(self.inputs))
+        point = self.core.operating_point
+        v0 = (point.basis(np.asarray(self.core.middle if rho is None else rho, dtype=float)[None]) @ point.u)[0]
+        for i, c in enumerate(self.inputs):
+            for curve in (own for own in self.curves if own.input == c.name):
+                if u is None and not curve.rising:
+                    mend = "say about which inputs: to_control(rho, u=[..])"
+                    raise InputError(
+                        "the curve does not rise everywhere: its slope there is not known", channel=c.name, mend=mend
+                    )
+                slopes[i] = curve.slope(curve.inverse(v0[i]) if u is None else np.asarray(u, dtype=float)[i])
+        system.B, system.D = system.B * slopes, system.D * slopes
+        return system
+
+    # ---- files ---------------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, readable without the package: nodes of every curve, and the core as in its own file."""
+        return {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "name": self.name,
+            "curves": [{"input": c.input, "u": c.u, "v": c.v} for c in self.curves],
+            "unsigned": list(self.unsigned),
+            "core": self.core.to_dict(),
+            "noise": self.noise,
+            "trained_on": list(self.trained_on),
+            "notes": list(self.notes),
+        }
+
+    def save(self, path) -> None:
+        """Write the model as JSON (schema and version inside)."""
+        write_json(path, self.to_dict())
+
+
+def with_curves(experiment: Experiment, curves: Iterable[Curve]) -> Experiment:
+    """The record with v in place of u for the inputs of these curves."""
+    values = experiment.values.copy()
+    for curve in curves:
+        values[:, experiment.names.index(curve.input)] = curve(experiment[curve.input])
+    return replace(experiment, values=values)
+
+
+def with_signs(experiment: Experiment, unsigned: Sequence[str], signs: np.ndarray | float) -> Experiment:
+    """The record with the sizes of the outputs `unsigned` times signs, (N, unsigned) or one for all."""
+    values = experiment.values.copy()
+    own = [experiment.names.index(name) for name in unsigned]
+    values[:, own] = np.abs(values[:, own]) * signs
+    return replace(experiment, values=values)
+
+
+def _signs(count: int) -> Iterator[np.ndarray]:
+    """Every combination of so many signs."""
+    for number in range(2**count):
+        yield np.array([1.0 if number >> i & 1 else -1.0 for i in range(count)])
+
+
+def load_hammerstein(path) -> HammersteinWienerModel:
+    """Read a file written by `HammersteinWienerModel.save`. Raises InputError for a file that is none.
+
+    >>> HammersteinWiener(nodes=(5,)).fit(fan).save("hammerstein.json")
+    >>> load_hammerstein("hammerstein.json").curves[0].input
+    'u'
+    """
+    content = read_json(path)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise InputError("not a Hammerstein-Wiener model", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}")
+    if content.get("version") != VERSION:
+        raise InputError(f"model version {content.get('version')}, this program reads {VERSION}", file=path)
+    try:
+        return HammersteinWienerModel(
+            content["name"],
+            model_from_dict(content["core"]),
+            tuple(Curve(c["input"], c["u"], c["v"]) for c in content["curves"]),
+            tuple(content["unsigned"]),
+            None if content["noise"] is None else np.array(content["noise"]),
+            tuple(content["trained_on"]),
+            tuple(content["notes"]),
+        )
+    except KeyError as reason:
+        raise InputError(f"field {reason.args[0]!r} is missing", file=path, mend="write the model again") from None
+    except (TypeError, ValueError, OverflowError) as reason:
+        raise InputError(f"malformed model: {reason}", file=path, mend="write the model again") from None
