@@ -335,12 +335,16 @@ class LPVModel:
         A schedule that is an output is the model's own from where the measured ones end, so that none of them leaks in.
         The initial state comes from the first `warmup` samples: the predictor follows the measured outputs for so long
         and is then cut off. Rows before that are predictions, not simulation; score only rows from `warmup` on.
-        Default: the predictor's own memory; 0 starts from the operating point.
+        Default: the predictor's own memory; 0 starts from the operating point. Where so few samples cannot tell a start, it is
+        the likeliest one under what inputs make of the states, and the noise.
         """
         u, y, weight, seen = self.deviations(experiment)
         n = self.warmup if warmup is None else warmup
         free = self.predictor is not None and self.predictor.free_start
         x = self._states(u[:n], y[:n], weight[:n], seen[:n], free=free)
+        if self.noise is not None and n < self.warmup and 0 < y[:n].size < TOLD * self.order:
+            known = np.minimum(np.arange(len(u)), n - 1)  # a schedule that is an output is not known after that
+            x = self._likely(u, y[:n], weight if self.scheduled_output is None else weight[known], seen[:n])
         if self.scheduled_output is not None:
             return simulated(self, experiment, x)
         out = np.empty((len(u), len(self.outputs)))
@@ -438,6 +442,26 @@ class LPVModel:
                 k = k0 + i
                 x[k + 1] = A[i] @ x[k] + B[i] @ u[k] + L[i] @ y[k]
         return x
+
+    def _likely(self, u: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """States (n + 1, nx) of a free run along y (n, ny) from its likeliest start x0.
+
+        minimise |e|^2 / R + x0' S^-1 x0, S the covariance of the states along the inputs u (N, nu), R that of the noise.
+        """
+        assert self.predictor is not None
+        assert self.noise is not None
+        nothing, n = np.zeros_like(self.predictor.K), len(y)
+        moved = self._led(self.A, self.B, nothing, u, np.zeros((len(u), y.shape[1])), weight, np.zeros(self.order))
+        S = moved.T @ moved / len(moved)
+        C, D, A = np.tensordot(seen, self.C, 1), np.tensordot(seen, self.D, 1), np.tensordot(weight[:n], self.A, 1)
+        left = [np.eye(self.order)]
+        for own in A[:-1]:
+            left.append(own @ left[-1])
+        Phi = np.concatenate(C @ np.stack(left))
+        e = y - np.einsum("kyx,kx->ky", C, moved[:n]) - np.einsum("kyu,ku->ky", D, u[:n])
+        R = np.kron(np.eye(n), self.noise)
+        x0 = S @ Phi.T @ np.linalg.lstsq(Phi @ S @ Phi.T + R, e.ravel(), rcond=1e-12)[0]
+        return self._led(self.A, self.B, nothing, u[:n], y, weight[:n], x0)
 
     def _start(self, F, u: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray, x: np.ndarray) -> np.ndarray | None:
         """The start that lowers the errors most of a run x (n, nx) that began at zero.

@@ -113,7 +113,7 @@ def written_out(model, e, followed, steps=None):
     return np.array(out)
 
 
-@pytest.mark.parametrize("warmup", [0, 1, 5, 60])
+@pytest.mark.parametrize("warmup", [0, 5, 60])  # of 1 the start is fitted: see the last test here
 def test_the_free_run_is_the_equation(warmup):
     model, e = scheduled(), record()
     np.testing.assert_allclose(model.simulate(e, warmup=warmup), written_out(model, e, warmup), atol=1e-10)
@@ -261,3 +261,41 @@ def test_predictions_do_not_depend_on_how_a_record_is_cut_into_chunks(monkeypatc
     monkeypatch.setattr(lpv, "CHUNK", 7)
     np.testing.assert_allclose(model.predict(e, steps), whole, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(model.simulate(e), run, rtol=1e-12, atol=1e-12)
+
+
+def test_a_start_from_few_samples_is_the_likeliest():
+    """Five states, four samples: a run begun at zero, or at the smallest start that fits them, errs twice as much at least."""
+    random = np.random.default_rng(7)
+    A = np.diag([0.98, 0.95, 0.9, 0.8, 0.5])
+    A[0, 1:] = 0.02
+    B, C = np.ones((5, 1)), np.array([[0.1, -0.4, 0.5, 0.3, 1.0]])
+    N, missed = 400, {"likeliest": 0.0, "zero": 0.0, "least": 0.0}
+    u_name, y_name = Channel("u", "", "input"), Channel("y", "", "output")
+    still = OperatingPoint(CONSTANT, np.zeros((1, 1)), np.zeros((1, 1)))
+    K = 0.2 * np.ones((5, 1)) / 5
+    for _ in range(20):
+        u = np.repeat(random.normal(size=N // 20 + 10), 20)
+        x, states, y = np.zeros(5), [], []
+        for value in u:
+            states.append(x)
+            y.append(C @ x + 0.05 * random.normal(size=1))
+            x = A @ x + B[:, 0] * value
+        u, y = u[200:], np.array(y)[200:]
+        truth = np.array([C @ own for own in states])[200:, 0]
+        e = Experiment.from_arrays("late", 0.1, inputs={"u": u}, outputs={"y": y[:, 0]})
+        predictor = Predictor((A - K @ C)[None], B[None], K[None], warmup=100)
+        noise, matrices = np.array([[0.0025]]), (A, B, C, np.zeros((1, 1)))
+        model = constant_model("five", 0.1, ((u_name,), (y_name,)), matrices, still, predictor=predictor, noise=noise)
+        missed["likeliest"] += np.sum((model.simulate(e, warmup=4)[4:, 0] - truth[4:]) ** 2)
+        Phi, run = [np.eye(5)], np.zeros(5)
+        forced = []
+        for value in u:
+            forced.append(float((C @ run)[0]))
+            run = A @ run + B[:, 0] * value
+            Phi.append(A @ Phi[-1])
+        rows = np.array([(C @ own)[0] for own in Phi[:-1]])
+        start = np.linalg.lstsq(rows[:4], y[:4, 0] - np.array(forced)[:4], rcond=None)[0]
+        missed["zero"] += np.sum((np.array(forced)[4:] - truth[4:]) ** 2)
+        missed["least"] += np.sum((np.array(forced)[4:] + rows[4:] @ start - truth[4:]) ** 2)
+    assert missed["likeliest"] < 0.5 * missed["zero"]
+    assert missed["likeliest"] < 0.5 * missed["least"]
