@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 from scipy.signal import welch
 
 from plants import POSITIONING_AXIS
@@ -109,16 +108,16 @@ BENCHMARKS = {
     own.name: own
     for own in (
         Benchmark(
-            "gyroscope, 2 schedules", "real/gyroscope", ("old_ML_estim.mat",), ("old_ML_valid.mat",), ("current",), ("rate",),
+            "gyroscope, 2 schedules", "real/gyroscope", ("old_ML_estim.mat",), ("old_ML_valid.mat",), ("exp_u",), ("exp_y",),
             {"lti": LINEAR["lti"], "lpv-oe": OVER["lpv-oe"]},
             (Rule("old_ML_valid", 50, {"linear ARX": 30.0, "affine LPV-ARX": 76.0, "LPV-SUBNET": 98.0}),),
-            schedule=("p1", "p2"), measure="BFR0", unit="%", note=GYROSCOPE,
+            schedule=("exp_p1", "exp_p2"), measure="BFR0", unit="%", note=GYROSCOPE,
         ),
         Benchmark(
-            "gyroscope, 3 schedules", "real/gyroscope", ("ML_estim.mat",), ("ML_valid.mat",), ("current",), ("rate",),
+            "gyroscope, 3 schedules", "real/gyroscope", ("ML_estim.mat",), ("ML_valid.mat",), ("exp_u",), ("exp_y",),
             {"lti": LINEAR["lti"], "lpv-oe": OVER["lpv-oe"]},
             (Rule("ML_valid", 50, {"linear ARX": 30.0, "affine LPV-ARX": 76.0, "LPV-SUBNET": 98.0}),),
-            schedule=("p1", "p2", "p3"), measure="BFR0", unit="%", physics="gyroscope", note=GYROSCOPE,
+            schedule=("exp_p1", "exp_p2", "exp_p3"), measure="BFR0", unit="%", physics="gyroscope", note=GYROSCOPE,
         ),
         Benchmark(
             "silverbox", "real/silverbox", ("multisine_train.csv",), ("multisine_test.csv", "arrow.csv"), ("V1",), ("V2",),
@@ -306,9 +305,7 @@ def _slug(text: str) -> str:
 def records_of(b: Benchmark, data: Path) -> tuple[Dataset, Dataset]:
     """Estimation and test records of a set, with its roles."""
     folder = data / b.folder
-    if b.name.startswith("gyroscope"):
-        both = [[_gyroscope(folder / file) for file in own] for own in (b.estimation, b.held_out)]
-    elif b.name == "EMPS":
+    if b.name == "EMPS":
         own = emps_laws.emps_records(str(folder), False)
         both = [[own.estimation], [replace(own.held_out, name="DATA_EMPS_PULSES")]]
     elif b.name.startswith("winding"):
@@ -319,13 +316,6 @@ def records_of(b: Benchmark, data: Path) -> tuple[Dataset, Dataset]:
         Dataset(tuple(e.with_roles(inputs=b.inputs, outputs=b.outputs, schedule=b.schedule) for e in own)) for own in both
     )
     return estimation, held_out
-
-
-def _gyroscope(path: Path) -> Experiment:
-    content = loadmat(path)
-    p = content["exp_p"].astype(float)
-    values = {"current": content["exp_u"][:, 0], "rate": content["exp_y"][:, 0]} | {f"p{j + 1}": own for j, own in enumerate(p.T)}
-    return Experiment.from_arrays(path.stem, float(content["Ts"][0, 0]), other={c: v.astype(float) for c, v in values.items()})
 
 
 def _winding(b: Benchmark, path: Path) -> Iterator[Experiment]:
