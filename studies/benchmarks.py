@@ -355,17 +355,21 @@ def verdict(rows: Sequence[Row]) -> str:
                 continue
             top, linear = (min, max) if b.measure == "RMSE" else (max, min)
             end = first if not better(b, top(others), own[0]) else between if better(b, own[0], linear(others)) else last
-            ends[end].append(f"{b.name}, {test.name} ({own[0]:.3g} {b.unit} of {top(others):g}, {own[1]})")
+            ends[end].append(f"{b.name}, {test.name} ({own[0]:.3g} {b.unit} by {own[1]}, published {top(others):g})")
     return " ".join(f"{end.capitalize()}: {'; '.join(own) or 'none'}." for end, own in ends.items())
 
 
 def said(row: Row) -> str:
     """A row on a line."""
+    return f"{row['set']}, {_line(row)}"
+
+
+def _line(row: Row) -> str:
     b = BENCHMARKS[row["set"]]
     if "refused" in row:
-        return f"{row['model']} -> refused: {row['refused'].splitlines()[0]} ({row['seconds']:.0f} s)"
-    found = "; ".join(f"{test} {', '.join(_number(v) for v in own)}" for test, own in row["results"].items())
-    return f"{row['model']} -> {b.measure} [{b.unit}]: {found} ({row['about']}, {row['seconds']:.0f} s)"
+        return f"{row['method']}: refused: {row['refused'].splitlines()[0]} ({row['seconds']:.0f} s)"
+    found = "; ".join(f"{', '.join(_number(v) for v in own)} {b.unit} on {test}" for test, own in row["results"].items())
+    return f"{row['method']}: {b.measure} {found} ({row['about']}, {row['seconds']:.0f} s)"
 
 
 def _number(value: float | None) -> str:
@@ -389,26 +393,28 @@ def _table(rows: Sequence[Row], wanted: Sequence[str]) -> Table:
     for name in wanted:
         b = BENCHMARKS[name]
         for test in b.tests:
-            own = best_of(rows, b, test)
             black = best_of([row for row in rows if row["method"] != NAMED], b, test)
             named = best_of([row for row in rows if row["method"] == NAMED], b, test)
-            others = ", ".join(f"{method} {value:g}" for method, value in test.published.items())
+            linear, *_, top = test.published.values() or (None, None)
             table.append((
                 name, test.name, f"{b.measure} [{b.unit}]", black and black[0], black[1] if black else "-", named and named[0],
-                others or "-", test.begin, "-" if own is None else own[1],
+                linear, top, test.begin,
             ))  # fmt: skip
-    header = ("set", "test record", "measure", "black box", "by", NAMED, "published", "samples for the start", "best of ours")
+    header = ("set", "test record", "measure", "black box", "by", NAMED, "published: linear", "published: best", "start")
     caption = (
-        "Free runs; the start is found on the first samples alone, which are not counted. Orders, degrees, causes are chosen on "
-        "the estimation records. The best black box is picked here, with a look at the test: each method has its own line below. "
-        "Mean over outputs where there are several."
+        "Free runs. Start: so many first samples, on which alone the start is found; they are not counted. Orders, degrees and "
+        "causes come from the estimation records. The best black box is picked here, with a look at the test: each method has "
+        "its own line below. Mean over outputs where there are several."
     )
     return Table("Ours and published", header, tuple(table), caption=caption, digits=3)
 
 
 def _set(rows: Sequence[Row], b: Benchmark, folder: Path) -> tuple[Block, ...]:
     own = [row for row in rows if row["set"] == b.name]
-    lines = [said(row) for row in own]
+    lines = [_line(row) for row in own]
+    for test in b.tests:
+        if others := ", ".join(f"{method} {value:g}" for method, value in test.published.items()):
+            lines.append(f"Published: {b.measure} {others} {b.unit} on {test.name}")
     blocks: list[Block] = [Text("\n\n".join([*([f"Note: {b.note}."] if b.note else []), *lines]))]
     for name in dict.fromkeys(test.record for test in b.tests):
         paths = {row["method"]: folder / "free_runs" / f"{_slug(row['model'])}_{_slug(name)}.csv" for row in own}

@@ -10,6 +10,7 @@ from plants import POSITIONING_AXIS
 from studies import benchmarks, real_plants, real_records
 from studies.benchmarks import BENCHMARKS, NAMED, REPLAYED, Rule, best_of, noise_variance, records_of, verdict
 from studies.cli import main
+from workbench.report.page import html_text
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 HERE = pytest.mark.skipif(not DATA.is_dir(), reason="the shared records are not here")
@@ -46,7 +47,7 @@ def test_the_verdict_sorts_by_what_is_published():
         row("EMPS", REPLAYED, DATA_EMPS_PULSES=0.09),
     ]  # fmt: skip
     first, between, last = verdict(rows).split(". ")
-    assert "cascaded tanks, val (0.15 V of 0.191, lpv-oe)" in first
+    assert "cascaded tanks, val (0.15 V by lpv-oe, published 0.191)" in first
     assert "multisine_test" in between
     assert "gyroscope" in between  # below the best, above linear
     assert "silverbox, arrow (20" in last
@@ -110,8 +111,18 @@ def test_the_study_on_three_sets(tmp_path):
     assert found["coupled drives: hammerstein"]["run2_test"][0] > 60.0
     assert min(found["winding, DaISy: lti"]["run 2"]) > 60.0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "grey box 0.191" in page
+    assert "published 0.191" in page
     assert "free_runs" not in page
     again = (tmp_path / "models.jsonl").read_text(encoding="utf-8")
     assert main(["study", "benchmarks", "--quick", "--data", str(DATA), "--out", str(tmp_path), "--quiet"]) == 0
     assert (tmp_path / "models.jsonl").read_text(encoding="utf-8") == again  # nothing is made twice
+
+
+def test_the_page_shows_sets_without_published_results_too(tmp_path):
+    rows = [
+        row("cascaded tanks", "lti", val=0.6) | {"model": "cascaded tanks: lti", "about": "order 3", "seconds": 1.0},
+        {"model": "coupled drives: lti", "set": "coupled drives", "method": "lti", "refused": "too short", "seconds": 1.0},
+    ]
+    page = html_text(benchmarks._report(rows, ("cascaded tanks", "coupled drives"), tmp_path, {}))
+    for text in ("CT-SUBNET 0.306", "refused: too short", "0.588"):
+        assert text in page
