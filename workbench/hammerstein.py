@@ -173,7 +173,7 @@ class HammersteinWienerModel:
             return self.core.simulate(inner, warmup=warmup)
         names, N = [c.name for c in self.outputs], len(experiment)
         first = max(self.warmup if warmup is None else warmup, 1)
-        scale = np.maximum(experiment[names].std(axis=0), np.finfo(float).tiny)
+        scale = np.maximum(np.abs(experiment[names][:first]).max(axis=0), np.finfo(float).tiny)
 
         def missed(z: np.ndarray) -> float:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -202,17 +202,22 @@ class HammersteinWienerModel:
         """Small motions at a schedule value about inputs u (nu,), default those of the operating point there; of z where the
         sensor is blind to its sign.
         """
+        about = None if u is None else np.ravel(u).astype(float)
+        if about is not None and len(about) != len(self.inputs):
+            raise InputError(
+                f"{len(about)} inputs, the model has {len(self.inputs)}", file=self.name, mend="give one number for each"
+            )
         system, slopes = self.core.to_control(rho), np.ones(len(self.inputs))
         point = self.core.operating_point
         v0 = (point.basis(np.asarray(self.core.middle if rho is None else rho, dtype=float)[None]) @ point.u)[0]
         for i, c in enumerate(self.inputs):
             for curve in (own for own in self.curves if own.input == c.name):
-                if u is None and not curve.rising:
+                if about is None and not curve.rising:
                     mend = "say about which inputs: to_control(rho, u=[..])"
                     raise InputError(
                         "the curve does not rise everywhere: its slope there is not known", channel=c.name, mend=mend
                     )
-                slopes[i] = curve.slope(curve.inverse(v0[i]) if u is None else np.asarray(u, dtype=float)[i])
+                slopes[i] = curve.slope(curve.inverse(v0[i]) if about is None else about[i])
         system.B, system.D = system.B * slopes, system.D * slopes
         return system
 

@@ -65,11 +65,9 @@ def run(options: Namespace) -> int:
 def _method_options(options: Namespace, method: str) -> dict[str, Any]:
     """What the options ask of a method."""
     own: dict[str, Any] = {} if options.order is None else {"order": options.order}
-    if method in CURVED:  # its order is that of what lies behind the curves
-        own = {"core": METHODS["lti"](**own, resamples=0)} if own else {}
     if method == "oe" and own.get("order", 0) > 2:  # a floor stays one
         del own["order"]
-    if options.feedthrough is not None and method in ("lti", "ssm", "lpv-oe"):
+    if options.feedthrough is not None and method in ("lti", "ssm", "lpv-oe", *CURVED):
         own["feedthrough"] = options.feedthrough
     return own
 

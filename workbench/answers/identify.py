@@ -43,6 +43,7 @@ LATE = "lpv-oe"  # takes minutes: over one schedule variable it is tried where t
 CURVES = "hammerstein"  # its models are not LPV models: it is tried where none of those follows the records
 GOOD, FEW = 90.0, 5000  # free-run FIT below which these are tried, and on how many samples at most without being asked for
 MUCH_BETTER = 0.7  # of the error of free runs: what curves must do to be spoken of
+FOLLOWS = 30.0  # free-run FIT on left-out parts of a model that is handed out where all others are worse than the mean
 
 
 def identify(
@@ -90,9 +91,8 @@ def identify(
         envelopes = cover(model, given.own, "estimation") + held
         results.append(ScoredModel(model, f"{name}.json", tuple(c.nominal for c in envelopes), envelopes))
     split = "held-out" if given.held_out else "estimation"
-    runs = [s.FIT for own in results for s in own.scores if (s.split, s.horizon) == (split, "free-run")]
-    if every and runs and max(runs) < GOOD:
-        remarks += _others(bool(put_off), max(runs), models, given.own, progress)
+    if every and _worst_of_best(results, split) < GOOD:
+        remarks += _others(bool(put_off), models, given.own, progress)
     results = refereed(results, given.own, given.shown)
     results, below = above_floor(results)
     return IdentificationResult(tuple(results), given, choice, (*remarks, *below), accept)
@@ -196,6 +196,7 @@ def scores_of(
     scores = score(model, estimation, "estimation", horizons) if estimation else ()
     if held_out:
         scores += score(model, held_out, "held-out", horizons)
+        warnings += _beyond_nodes(model, held_out)
         for e in held_out:
             for schedule, (low, high) in zip(model.schedules, model.spans, strict=True):
                 beyond = max(low - e[schedule.name].min(), e[schedule.name].max() - high) / ((high - low) or 1.0)
@@ -206,6 +207,19 @@ def scores_of(
                         f"{low:g} to {high:g} {schedule.unit}, by {100 * beyond:.0f} % of it; there the model {how}"
                     )
     return scores, warnings
+
+
+def _beyond_nodes(model: Model, held_out: Dataset) -> Iterator[str]:
+    """A warning for each input of a record that leaves the nodes of its curve."""
+    for curve in model.curves if isinstance(model, HammersteinWienerModel) else ():
+        low, high = curve.u[0], curve.u[-1]
+        for e in held_out:
+            beyond = max(low - e[curve.input].min(), e[curve.input].max() - high) / (high - low)
+            if beyond > MUCH:
+                yield (
+                    f"warning: {model.name} on {e.name}: {curve.input} leaves what its curve was found on, {low:g} to {high:g},"
+                    f" by {100 * beyond:.0f} % of it; there the curve goes straight on"
+                )
 
 
 def _method(name: str) -> Method:
@@ -300,16 +314,22 @@ def _fitted(
 
 
 def _curved(records: Dataset, progress: Progress) -> HammersteinWienerModel | None:
-    """A Hammerstein-Wiener model, where there is one."""
-    progress(f"{CURVES}: identifying, for no other method follows these records")
+    """A Hammerstein-Wiener model, where there is one that follows what it was not fitted to."""
+    progress(f"{CURVES}: looked for, no other method follows these records")
     try:
-        return HammersteinWiener().fit(records)
+        return HammersteinWiener().fit(records) if HammersteinWiener().look(records).FIT > FOLLOWS else None
     except InputError:
         return None
 
 
-def _others(late: bool, best: float, models: Mapping[str, Model], records: Dataset, progress: Progress) -> list[str]:
-    """Which methods that were not tried may run better than a FIT of `best`."""
+def _worst_of_best(results: Sequence[ScoredModel], split: str) -> float:
+    """Free-run FIT of the worst output on the worst record, of the model that does best there; inf without any."""
+    runs = [[s.FIT for s in own.scores if (s.split, s.horizon) == (split, "free-run")] for own in results]
+    return max((min(own) for own in runs if own), default=np.inf)
+
+
+def _others(late: bool, models: Mapping[str, Model], records: Dataset, progress: Progress) -> list[str]:
+    """Which methods that were not tried may run better."""
     said = []
     if late:
         said.append(f"note: no free run has a FIT of {GOOD:g}: --model {LATE} fits free runs over the schedule, in minutes")
@@ -320,10 +340,11 @@ def _others(late: bool, best: float, models: Mapping[str, Model], records: Datas
         seen = HammersteinWiener().look(records)
     except InputError:
         return said
-    if (seen.nodes or seen.unsigned) and MUCH_BETTER * (100.0 - best) > 100.0 - seen.FIT:
+    if (seen.nodes or seen.unsigned) and MUCH_BETTER * (100.0 - seen.plain) > 100.0 - seen.FIT:
         signs = f" and signs of {', '.join(seen.unsigned)}" if seen.unsigned else ""
         what = f"static curves of the inputs{signs}" if seen.nodes else signs.removeprefix(" and ")
-        said.append(f"note: with {what} free runs have a FIT of {seen.FIT:.1f} on what they were not fitted to: --model {CURVES}")
+        fits = f"a FIT of {seen.FIT:.1f}, without of {seen.plain:.1f}"
+        said.append(f"note: with {what} free runs on parts of these records have {fits}: --model {CURVES}")
     return said
 
 
@@ -345,5 +366,5 @@ def _chosen(choice: Choice) -> str:
 def _remarks(name: str, model: Model) -> list[str]:
     """What is to be known of a model."""
     seen = "outputs see the inputs of their own sample, which held commands cannot do (--no-feedthrough)"
-    direct = isinstance(model, LPVModel) and np.any(model.D)
+    direct = np.any((model if isinstance(model, LPVModel) else model.core).D)
     return [*([f"note: {name}: {seen}"] if direct else []), *(f"note: {name}: {note}" for note in model.notes)]

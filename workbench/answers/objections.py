@@ -7,6 +7,7 @@ import numpy as np
 
 from workbench.answers.scored import ScoredModel
 from workbench.data import Dataset
+from workbench.hammerstein import HammersteinWienerModel
 from workbench.identification.leaks import leaks, too_good
 from workbench.identification.lti import held_by_a_loop
 from workbench.lpv import LPVModel
@@ -24,7 +25,10 @@ def refereed(results: Sequence[ScoredModel], estimation: Dataset | None, judged:
     found = []
     for result in results:
         own = [s for s in result.scores if s.record in judged.names]
-        against = (*shared, *too_good(tuple(own), judged), *_useless(own), *_held(own, judged, loop))
+        # what inputs explain only by a curve, or without its sign, would count as noise
+        curved = isinstance(result.model, HammersteinWienerModel)
+        good = () if curved else too_good(tuple(own), judged)
+        against = (*shared, *good, *_useless(own), *_held(own, judged, loop))
         found.append(replace(result, against=against))
     return found
 

@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from workbench.data import Dataset, Experiment
-from workbench.errors import InputError
+from workbench.errors import InputError, check_known
 from workbench.hammerstein import Curve, HammersteinWienerModel, with_curves, with_signs
 from workbench.identification.lti import LTI
 from workbench.identification.output_error.refine import refinable, refined, work
 from workbench.identification.schedules import schedules_of
-from workbench.identification.selection import parts
+from workbench.identification.selection import Judged, parts
 from workbench.identification.signs import with_lost_signs
 from workbench.identification.ssm import SSM
 from workbench.identification.subspace import channels_of
@@ -35,7 +35,9 @@ LEVELS = 3  # values of an input, from which on it may have a curve
 SPARSE = 0.01  # of the samples: what must lie between two nodes
 ROUNDS, ENOUGH = 12, 0.005  # turns of core and curves at most; share of the error that one must gain
 RESPONSES = 60  # samples of the impulse responses that begin the curves
-WORTH = 0.97  # of the error on what was left out: what more nodes must do
+WORTH = 0.9  # of the error on what was left out: what curves, and more nodes, must do, surely
+SPARED = 1.03  # of that error: what an input may cost that goes without its curve
+STRAIGHT = 0.05  # of the spread of an input: a curve that is no farther from it is none
 WORK = 1e9  # multiplications of a pass along the records, beyond which the core is not refined by free runs
 
 
@@ -43,7 +45,8 @@ WORK = 1e9  # multiplications of a pass along the records, beyond which the core
 class Seen:
     """What a look at records found: these with the signs they lack, the outputs that lack them, the nodes of curves (0: none).
 
-    FIT [%]: mean of its free runs on parts that were left out. tried: how everything ran there.
+    FIT [%]: mean of its free runs on parts that were left out; plain: that of the same without curves and signs. tried: how
+    everything ran there. curves: of the parts that were not left out; other inputs have none.
     """
 
     records: Dataset
@@ -51,15 +54,16 @@ class Seen:
     nodes: int
     FIT: float
     tried: str
-    curves: tuple[Curve, ...] = ()  # of the parts that were not left out
+    curves: tuple[Curve, ...] = ()
+    plain: float = -np.inf
 
 
 @record
 class HammersteinWiener:
     """y = G(rho) f(u): a curve for each input, its nodes and those of all others chosen by left-out parts, and signs of outputs.
 
-    nodes: numbers of nodes to choose from. core: the method of G; None takes LTI, or SSM where there is a schedule. unsigned:
-    outputs of which the sensor shows |z|; None finds them out.
+    nodes: numbers of nodes to choose from. core: the method of G; None takes LTI, or SSM where there is a schedule, of this order
+    and feedthrough, which they choose by default. unsigned: outputs of which the sensor shows |z|; None finds them out.
 
         >>> curved = HammersteinWiener().fit(fan)
         >>> round(score(curved, fan_held_out, "held-out", ["free-run"])[0].FIT)  # LTI: 76
@@ -72,6 +76,8 @@ class HammersteinWiener:
     nodes: Sequence[int] = (3, 5, 9)
     core: Any = None
     unsigned: Sequence[str] | None = None
+    order: int | None = None
+    feedthrough: bool | None = None
     name: str = "HW"
 
     def __post_init__(self):
@@ -94,7 +100,7 @@ class HammersteinWiener:
         if seen.nodes == 0 and not seen.unsigned:
             said = f"no static curve of an input makes free runs better on parts of the records that were left out ({seen.tried})"
             raise InputError(said, file=first.name, mend="take lti, ssm or another method")
-        model = self._alternated(seen.records, seen.unsigned, seen.nodes, seen.curves)
+        model = self._alternated(seen.records, seen.unsigned, seen.nodes, seen.curves, [c.input for c in seen.curves])
         e = np.concatenate([(own[_names(model)] - model.predict(own))[model.warmup :] for own in dataset])
         notes = (f"free-run FIT on parts that were left out, by nodes of a curve: {seen.tried}", *_said(model))
         noise = np.atleast_2d(np.cov(e.T)) if np.isfinite(e).all() else None
@@ -103,10 +109,12 @@ class HammersteinWiener:
     # ---- what there is to be found -----------------------------------------------------------------------------------
 
     def look(self, dataset: Dataset) -> "Seen":
-        """Which signs and how many nodes: the simplest ones that none of the others runs better than by much.
+        """Which signs, how many nodes and for which inputs: the simplest ones that nothing else surely runs better than by much.
 
-        Raises InputError where nothing runs on what was left out.
+        Raises InputError where nothing runs better than the mean of what was left out.
         """
+        for name in self.unsigned or ():
+            check_known("output", name, dataset.experiments[0].names_of("output"), file=dataset.experiments[0].name)
         unsigned, signs = with_lost_signs(dataset, self.unsigned)
         if self.unsigned is not None and unsigned != tuple(self.unsigned):
             lost = ", ".join(name for name in self.unsigned if name not in unsigned)
@@ -114,35 +122,63 @@ class HammersteinWiener:
             raise InputError("its signs cannot be found", file=dataset.experiments[0].name, channel=lost, mend=mend)
         given = Dataset(tuple(with_signs(e, unsigned, own) for e, own in zip(dataset, signs, strict=True)))
         kinds = {unsigned: given} | ({(): dataset} if self.unsigned is None else {})
-        best, least, said = Seen(dataset, (), 0, -np.inf, ""), np.inf, []
+        best, judged, said = Seen(dataset, (), 0, -np.inf, ""), None, []
         for own, records in sorted(kinds.items()):  # an even curve may have looked like lost signs: both are tried
             seen, unseen, curves = parts(records)[0], parts(dataset)[1], ()
             for count in (0, *self.nodes):
                 what = " with signs of ".join([str(count or "none"), *filter(None, [", ".join(own)])])
                 try:
-                    model = self._alternated(seen, own, count, curves)
-                    fits = [s.FIT for s in score(model, unseen, "held-out", ["free-run"])]
+                    model, now = self._judged(seen, unseen, own, count, curves)
                 except InputError as reason:  # too short for that
                     said.append(f"{what}: {reason.problem}")
                     continue
-                said.append(f"{what}: {np.mean(fits):.1f} %")
-                missed, curves = 100.0 - float(np.mean(fits)), model.curves
-                if missed < WORTH * least:
-                    best, least = Seen(records, own, count, 100.0 - missed, "", curves), missed
-        if not np.isfinite(least):
-            raise InputError(f"no model runs on what was left out: {'; '.join(said)}", mend="give longer records")
-        return replace(best, tried="; ".join(said))
+                said.append(f"{what}: {now.mean:.1f} %" if now.mean > -100.0 else f"{what}: runs away")
+                curves = model.curves
+                if not own and not count:
+                    best = replace(best, plain=now.mean)
+                if curves and all(map(_straight, curves)):
+                    continue
+                sure = judged is None or best.nodes > 0 or now.surely_better(judged)
+                if sure and (judged is None or 100.0 - now.mean < WORTH * (100.0 - judged.mean)):
+                    best, judged = replace(best, records=records, unsigned=own, nodes=count, FIT=now.mean, curves=curves), now
+        if not best.FIT > 0.0:
+            mend = "give longer records, or others: these inputs do not tell these outputs"
+            raise InputError(f"no model runs better than the mean of what was left out ({'; '.join(said)})", mend=mend)
+        return replace(self._spared(best, parts(best.records)[0], parts(dataset)[1]), tried="; ".join(said))
+
+    def _judged(
+        self, seen: Dataset, unseen: Dataset, unsigned: tuple[str, ...], count: int, before: Sequence[Curve],
+        bent: Sequence[str] | None = None,
+    ) -> tuple[HammersteinWienerModel, Judged]:  # fmt: skip
+        """The model of some parts, and how it runs on the others."""
+        model = self._alternated(seen, unsigned, count, before, bent)
+        return model, Judged(tuple(s.FIT for s in score(model, unseen, "held-out", ["free-run"])), True)
+
+    def _spared(self, best: Seen, seen: Dataset, unseen: Dataset) -> Seen:
+        """Without the curves of inputs that run as well without."""
+        for name in [curve.input for curve in best.curves] if len(best.curves) > 1 else []:
+            rest = [curve.input for curve in best.curves if curve.input != name]
+            model, now = self._judged(seen, unseen, best.unsigned, best.nodes, best.curves, rest)
+            if rest and 100.0 - now.mean <= SPARED * (100.0 - best.FIT):
+                best = replace(best, curves=model.curves, FIT=now.mean)
+        return best
+
+    def _usual(self, scheduled: bool) -> Any:
+        own = {"order": self.order, "feedthrough": self.feedthrough}
+        return SSM(**own) if scheduled else LTI(**own, resamples=0)
 
     # ---- core and curves in turn ---------------------------------------------------------------------------------------
 
     def _alternated(
-        self, dataset: Dataset, unsigned: tuple[str, ...], count: int, before: Sequence[Curve] = ()
-    ) -> HammersteinWienerModel:
+        self, dataset: Dataset, unsigned: tuple[str, ...], count: int, before: Sequence[Curve] = (),
+        bent: Sequence[str] | None = None,
+    ) -> HammersteinWienerModel:  # fmt: skip
         """The model with curves of so many nodes; dataset: with the signs of `unsigned` as far as they are known.
 
         before: curves of fewer nodes, or of fewer records. Where signs are lost there are several minima: it is begun there too.
+        bent: inputs that may have one; None is all.
         """
-        bends = _bends(dataset, count) if count else {}
+        bends = {name: nodes for name, nodes in _bends(dataset, count).items() if bent is None or name in bent} if count else {}
         starts = [_begun(dataset, bends), *([_through(before, bends)] if unsigned and bends and before else [])]
         tried = [self._in_turn(dataset, unsigned, bends, starts[0])]
         for own in starts[1:]:
@@ -172,7 +208,7 @@ class HammersteinWiener:
     ) -> "_Tried":
         """A core identified behind the curves, by its free runs where that takes seconds."""
         curves = tuple(_curve(name, nodes, weights[name], dataset) for name, nodes in bends.items())
-        method = self.core or (SSM() if dataset.experiments[0].names_of("schedule") else LTI(resamples=0))
+        method = self.core or self._usual(bool(dataset.experiments[0].names_of("schedule")))
         inner = Dataset(tuple(with_curves(e, curves) for e in dataset))
         core: LPVModel = method.fit(inner)
         if refinable(core) and work(core, inner) <= WORK:
@@ -180,6 +216,11 @@ class HammersteinWiener:
         model = HammersteinWienerModel(self.name, core, curves, unsigned)
         z = [model.run(e) for e in dataset]
         return _Tried(model, z, _missed(model, dataset, z))
+
+
+def _straight(curve: Curve) -> bool:
+    """Whether v is u, as far as it matters."""
+    return bool(np.abs(curve.v - curve.u).max() <= STRAIGHT * np.ptp(curve.u))
 
 
 class _Tried(NamedTuple):
@@ -304,7 +345,9 @@ def _bent(
 def _through(curves: Sequence[Curve], bends: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Weights of the functions of each input that read its curve at the nodes."""
     by_input = {curve.input: curve for curve in curves}
-    return {name: _weights(Curve(name, nodes, by_input[name](nodes))) for name, nodes in bends.items()}
+    return {
+        name: _weights(Curve(name, nodes, by_input[name](nodes) if name in by_input else nodes)) for name, nodes in bends.items()
+    }
 
 
 def _weights(curve: Curve) -> np.ndarray:

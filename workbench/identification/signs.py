@@ -50,6 +50,8 @@ def lost_signs(dataset: Dataset, output: str, *, sure: bool = False) -> list[np.
     counted = np.concatenate([np.arange(n) >= FORGOTTEN * n for n in short])
     if not (sure or may_lack_signs(dataset, output)) or u[0].shape[1] > INPUTS or np.count_nonzero(counted) < FEWEST:
         return None
+    if not np.concatenate([a[:n] for a, n in zip(y, short, strict=True)])[counted].max() > 0.0:
+        return None  # nothing happens in what is looked at
     seen, target = [a[:n] for a, n in zip(u, short, strict=True)], np.concatenate([a[:n] for a, n in zip(y, short, strict=True)])
     lines, found = np.inf, (np.inf, (0.0, 0.0 + 0.0j, 0), np.zeros(0))
     for poles in _grid():

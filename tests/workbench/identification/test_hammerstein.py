@@ -192,7 +192,7 @@ def test_each_input_has_its_own_curve():
     model = wb.HammersteinWiener(nodes=(9,)).fit(Dataset(tuple(records[:1])))
     curves = {curve.input: curve for curve in model.curves}
     assert straightened(curves["u1"], CURVES["square"]) < 0.03
-    assert straightened(curves["u2"], CURVES["straight"]) < 0.03
+    assert "u2" not in curves  # straight
     assert min(s.FIT for s in score(model, Dataset(tuple(records[1:])), "held-out", ["free-run"])) > 95.0
 
 
@@ -313,9 +313,60 @@ def test_a_pulse_counter_of_a_real_machine_is_recognised():
     roles = {"inputs": "u", "outputs": "y"}
     data = wb.read(DRIVES / "run2_train.csv", DRIVES / "run3_train.csv", **roles)
     held = wb.read(DRIVES / "run2_test.csv", DRIVES / "run3_test.csv", **roles)
-    model = wb.identify(data, held).model
+    model = wb.identify(data, held, accept=True).model  # on run 3 its predictor errs more than its free run, and that is said
     assert isinstance(model, HammersteinWienerModel)
     assert model.unsigned == ("y",)
     fits = [s.FIT for s in score(model, held, "held-out", ["free-run"])]
     assert fits[0] > 75.0
     assert fits[1] > 35.0
+
+
+def test_an_output_that_no_input_moves_gets_no_model():
+    """Noise with a long memory: curves run a little less badly than none, and both worse than the mean."""
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        u, y = np.repeat(random.uniform(-1.0, 1.0, 40), 15), lfilter([1.0], [1.0, -0.95], random.normal(size=600))
+        data = Dataset((Experiment.from_arrays("noise", 0.1, inputs={"u": u}, outputs={"y": y}),))
+        with pytest.raises(InputError):
+            wb.HammersteinWiener().fit(data)
+
+
+@pytest.mark.slow
+def test_coloured_noise_makes_few_curves():
+    """A straight machine and two parts to judge by: chance favours some curve now and then, on one record of six at most."""
+    claimed = 0
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        u = np.repeat(random.uniform(-1.0, 1.0, 40), 15)
+        z = lfilter([0.0, 0.1], [1.0, -0.9], u)
+        y = z + 0.2 * np.std(z) * np.sqrt(1.0 - 0.9**2) * lfilter([1.0], [1.0, -0.9], random.normal(size=600))
+        data = Dataset((Experiment.from_arrays("coloured", 0.1, inputs={"u": u}, outputs={"y": y}),))
+        claimed += wb.HammersteinWiener().look(data).nodes > 0
+    assert claimed <= 1
+
+
+def test_an_input_without_need_has_no_curve():
+    random = np.random.default_rng(21)
+    u = np.stack([np.repeat(random.uniform(-1.0, 1.0, 100), n)[:1200] for n in (12, 17)], axis=1) * [1.0, 0.02]
+    y = lfilter([0.0, 0.2], [1.0, -0.8], CURVES["square"](u[:, 0]) + u[:, 1]) + 0.01 * random.normal(size=1200)
+    data = Dataset((Experiment.from_arrays("a", 0.1, inputs={"u1": u[:, 0], "u2": u[:, 1]}, outputs={"y": y}),))
+    assert [curve.input for curve in wb.HammersteinWiener(nodes=(5,)).fit(data).curves] == ["u1"]
+
+
+def test_rest_at_first_is_no_crash():
+    """All that is looked at of a long record is 0."""
+    u = np.concatenate([np.zeros(3300), np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 380), 15)])
+    y = np.abs(lfilter([0.0, 0.1], [1.0, -0.9], u))
+    assert lost_signs(Dataset((Experiment.from_arrays("late", 0.1, inputs={"u": u}, outputs={"y": y}),)), "y") is None
+
+
+def test_what_leaves_the_nodes_is_said_and_a_clean_sensor_is_not_too_good(fan):
+    machine, data, _, _, model = fan
+    u = 2.0 * np.repeat(machine.random.uniform(-1.0, 1.0, 80), 15)
+    y = lfilter(machine.num, machine.den, machine.curve(u))
+    wide = Dataset((Experiment.from_arrays("wide", 0.05, inputs={"u": u}, outputs={"y": y}),))
+    found = wb.identify(data, wide, methods={"hammerstein": wb.HammersteinWiener(nodes=(9,))})
+    assert any("goes straight on" in remark for remark in found.remarks)
+    assert not found.results[0].against
+    with pytest.raises(InputError, match="2 inputs"):
+        model.to_control(u=[0.1, 0.2])
