@@ -108,7 +108,7 @@ def test_the_study_on_three_sets(tmp_path):
     content = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     found = {own["model"]: own["results"] for own in content["models"] if "results" in own}
     assert found["cascaded tanks: lpv-oe"]["val"][0] < 0.5  # published: linear 0.59
-    assert found["coupled drives: hammerstein"]["run2_test"][0] > 60.0
+    assert found["coupled drives: hammerstein"]["run2_test"][0] > 50.0  # every linear model is below 0
     assert min(found["winding, DaISy: lti"]["run 2"]) > 60.0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "published 0.191" in page
