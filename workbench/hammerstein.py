@@ -6,7 +6,8 @@ f is piecewise linear through nodes. Thrust that grows as the square of a speed,
 dry friction at rest are such curves; a pulse counter on a shaft that turns both ways is such a sensor.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -180,7 +181,7 @@ class HammersteinWienerModel:
                 error = float(np.sum(((self.shown(z) - experiment[names]) / scale)[:first] ** 2))
             return error if np.isfinite(error) else np.inf
 
-        still = [np.tile(s, (N, 1)) for s in _signs(len(self.unsigned))]
+        still = [np.tile(s, (N, 1)) for s in itertools.product((-1.0, 1.0), repeat=len(self.unsigned))]
         runs = [self.core.simulate(with_signs(inner, self.unsigned, s), warmup=warmup) for s in still]
         runs += [self.core.simulate(with_signs(inner, self.unsigned, self.signs_of(z)), warmup=warmup) for z in runs]
         return min(runs, key=missed)
@@ -210,14 +211,13 @@ class HammersteinWienerModel:
         system, slopes = self.core.to_control(rho), np.ones(len(self.inputs))
         point = self.core.operating_point
         v0 = (point.basis(np.asarray(self.core.middle if rho is None else rho, dtype=float)[None]) @ point.u)[0]
-        for i, c in enumerate(self.inputs):
-            for curve in (own for own in self.curves if own.input == c.name):
-                if about is None and not curve.rising:
-                    mend = "say about which inputs: to_control(rho, u=[..])"
-                    raise InputError(
-                        "the curve does not rise everywhere: its slope there is not known", channel=c.name, mend=mend
-                    )
-                slopes[i] = curve.slope(curve.inverse(v0[i]) if about is None else about[i])
+        for curve in self.curves:
+            i = [c.name for c in self.inputs].index(curve.input)
+            if about is None and not curve.rising:
+                mend = "say about which inputs: to_control(rho, u=[..])"
+                said = "the curve does not rise everywhere: its slope there is not known"
+                raise InputError(said, channel=curve.input, mend=mend)
+            slopes[i] = curve.slope(curve.inverse(v0[i]) if about is None else about[i])
         system.B, system.D = system.B * slopes, system.D * slopes
         return system
 
@@ -242,6 +242,10 @@ class HammersteinWienerModel:
         write_json(path, self.to_dict())
 
 
+#: What runs freely and predicts: every model but the interval ones.
+Model = LPVModel | HammersteinWienerModel
+
+
 def with_curves(experiment: Experiment, curves: Iterable[Curve]) -> Experiment:
     """The record with v in place of u for the inputs of these curves."""
     values = experiment.values.copy()
@@ -256,12 +260,6 @@ def with_signs(experiment: Experiment, unsigned: Sequence[str], signs: np.ndarra
     own = [experiment.names.index(name) for name in unsigned]
     values[:, own] = np.abs(values[:, own]) * signs
     return replace(experiment, values=values)
-
-
-def _signs(count: int) -> Iterator[np.ndarray]:
-    """Every combination of so many signs."""
-    for number in range(2**count):
-        yield np.array([1.0 if number >> i & 1 else -1.0 for i in range(count)])
 
 
 def load_hammerstein(path) -> HammersteinWienerModel:

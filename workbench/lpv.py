@@ -341,10 +341,11 @@ class LPVModel:
         u, y, weight, seen = self.deviations(experiment)
         n = self.warmup if warmup is None else warmup
         free = self.predictor is not None and self.predictor.free_start
-        x = self._states(u[:n], y[:n], weight[:n], seen[:n], free=free)
         if self.noise is not None and n < self.warmup and 0 < y[:n].size < TOLD * self.order:
             known = np.minimum(np.arange(len(u)), n - 1)  # a schedule that is an output is not known after that
             x = self._likely(u, y[:n], weight if self.scheduled_output is None else weight[known], seen[:n])
+        else:
+            x = self._states(u[:n], y[:n], weight[:n], seen[:n], free=free)
         if self.scheduled_output is not None:
             return simulated(self, experiment, x)
         out = np.empty((len(u), len(self.outputs)))
@@ -453,12 +454,7 @@ class LPVModel:
         nothing, n = np.zeros_like(self.predictor.K), len(y)
         moved = self._led(self.A, self.B, nothing, u, np.zeros((len(u), y.shape[1])), weight, np.zeros(self.order))
         S = moved.T @ moved / len(moved)
-        C, D, A = np.tensordot(seen, self.C, 1), np.tensordot(seen, self.D, 1), np.tensordot(weight[:n], self.A, 1)
-        left = [np.eye(self.order)]
-        for own in A[:-1]:
-            left.append(own @ left[-1])
-        Phi = np.concatenate(C @ np.stack(left))
-        e = y - np.einsum("kyx,kx->ky", C, moved[:n]) - np.einsum("kyu,ku->ky", D, u[:n])
+        Phi, e, _ = self._begun(self.A, u[:n], y, weight[:n], seen, moved[:n])
         R = np.kron(np.eye(n), self.noise)
         x0 = S @ Phi.T @ np.linalg.lstsq(Phi @ S @ Phi.T + R, e.ravel(), rcond=1e-12)[0]
         return self._led(self.A, self.B, nothing, u[:n], y, weight[:n], x0)
@@ -468,15 +464,22 @@ class LPVModel:
 
         None where the run has forgotten it, or where so few samples tell more of the noise than of a start.
         """
-        left = [np.eye(self.order)]  # of a start after k samples: F(k-1) .. F(0)
+        if y.size < max(TOLD * self.order, 1):
+            return None
+        Phi, e, left = self._begun(F, u, y, weight, seen, x)
+        return None if np.abs(left).max(initial=0.0) <= FORGOTTEN else np.linalg.lstsq(Phi, e.ravel(), rcond=KNOWN)[0]
+
+    def _begun(self, F, u: np.ndarray, y: np.ndarray, weight: np.ndarray, seen: np.ndarray, x: np.ndarray):
+        """What a start adds to the outputs (n ny, nx), what a run x (n, nx) that began at zero misses (n, ny), and what is left
+        of a start after these samples (nx, nx).
+        """
+        left = [np.eye(self.order)]  # after k samples: F(k-1) .. F(0)
         for _, own in self._slices(weight, F):
             for step in own:
                 left.append(step @ left[-1])
-        if y.size < TOLD * self.order or np.abs(left[-1]).max(initial=0.0) <= FORGOTTEN:
-            return None
         C, D = np.tensordot(seen, self.C, 1), np.tensordot(seen, self.D, 1)
         e = y - np.einsum("kyx,kx->ky", C, x) - np.einsum("kyu,ku->ky", D, u)
-        return np.linalg.lstsq(np.concatenate(C @ np.stack(left[:-1])), e.ravel(), rcond=KNOWN)[0]
+        return np.concatenate(C @ np.stack(left[:-1])), e, left[-1]
 
     # ---- files ------------------------------------------------------------------------------------------------------
 

@@ -11,8 +11,7 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import nullable
-from workbench.hammerstein import HammersteinWienerModel
-from workbench.lpv import LPVModel
+from workbench.hammerstein import Model
 from workbench.records import record
 
 Split = Literal["estimation", "held-out"]
@@ -101,7 +100,7 @@ class Score:
 
 
 def score(
-    model: LPVModel | HammersteinWienerModel,
+    model: Model,
     dataset: Dataset,
     split: Split,
     horizons: Iterable[Horizon] = ("free-run", "one-step", 25),
@@ -162,7 +161,7 @@ def to_json(models: Iterable[tuple[Any, str, Iterable[Score]]], provenance: dict
     }
 
 
-def _run(model: LPVModel | HammersteinWienerModel, experiment, horizon: Horizon) -> np.ndarray:
+def _run(model: Model, experiment, horizon: Horizon) -> np.ndarray:
     if horizon == "free-run":
         with np.errstate(over="ignore", invalid="ignore"):  # an unstable model may leave the numbers: FIT is then -inf
             return model.simulate(experiment)

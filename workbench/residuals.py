@@ -15,8 +15,7 @@ import numpy as np
 from workbench.advice import feedback
 from workbench.data import Experiment
 from workbench.errors import InputError
-from workbench.hammerstein import HammersteinWienerModel
-from workbench.lpv import LPVModel
+from workbench.hammerstein import Model
 from workbench.records import field, record
 
 Kind = Literal["whiteness", "input"]
@@ -70,9 +69,7 @@ class ResidualTest:
         return head + "residual of " + ", of ".join(what)
 
 
-def residual_test(
-    model: LPVModel | HammersteinWienerModel, experiment: Experiment, *, lags: int = 25, closed_loop: bool | None = None
-) -> ResidualTest:
+def residual_test(model: Model, experiment: Experiment, *, lags: int = 25, closed_loop: bool | None = None) -> ResidualTest:
     """e(k) = y(k) - y(k | k-1) after the warm-up: whiteness of each output's, and correlation with each input.
 
     Open loop: e(t) against u(t - k), k = -lags .. lags. Closed loop: k = 1 .. lags only, because later inputs answer past

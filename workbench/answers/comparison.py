@@ -9,15 +9,12 @@ from workbench.answers.envelopes import covered_verdict, envelope_sections
 from workbench.answers.scored import ScoredModel
 from workbench.data import Experiment
 from workbench.errors import InputError
-from workbench.hammerstein import Curve, HammersteinWienerModel
+from workbench.hammerstein import Curve, HammersteinWienerModel, Model
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel
 from workbench.metrics import Score
 from workbench.report import figures
 from workbench.report.blocks import Picture, Provenance, Report, Section, Table, Text
 from workbench.residuals import residual_test
-
-Model = LPVModel | HammersteinWienerModel
 
 
 def traces(e: Experiment, models: Mapping[str, Model], output: str) -> Picture:

@@ -18,11 +18,11 @@ from workbench.answers.envelopes import Method as IntervalMethod
 from workbench.answers.envelopes import described_modes, fit_outputs
 from workbench.answers.objections import above_floor, refereed
 from workbench.answers.scored import ScoredModel, scores_file
-from workbench.data import Channel, Dataset, check_held_out
+from workbench.data import Channel, Dataset, Experiment, check_held_out
 from workbench.decimation import thinned
 from workbench.errors import InputError, check_known
 from workbench.files import write_json
-from workbench.hammerstein import HammersteinWienerModel
+from workbench.hammerstein import HammersteinWienerModel, Model
 from workbench.identification import CURVED, METHODS
 from workbench.identification.criterion import ByCriterion
 from workbench.identification.hammerstein import HammersteinWiener
@@ -38,7 +38,6 @@ from workbench.report.blocks import Report
 from workbench.report.page import write_report
 
 SCORES_FILE = "scores.json"
-Model = LPVModel | HammersteinWienerModel
 LATE = "lpv-oe"  # takes minutes: over one schedule variable it is tried where the others leave much to do
 CURVES = "hammerstein"  # its models are not LPV models: it is tried where none of those follows the records
 GOOD, FEW = 90.0, 5000  # free-run FIT below which these are tried, and on how many samples at most without being asked for
@@ -196,30 +195,31 @@ def scores_of(
     scores = score(model, estimation, "estimation", horizons) if estimation else ()
     if held_out:
         scores += score(model, held_out, "held-out", horizons)
-        warnings += _beyond_nodes(model, held_out)
-        for e in held_out:
-            for schedule, (low, high) in zip(model.schedules, model.spans, strict=True):
-                beyond = max(low - e[schedule.name].min(), e[schedule.name].max() - high) / ((high - low) or 1.0)
-                if beyond > MUCH:
-                    how = f"follows its polynomials up to {100 * model.reach:.0f} %" if model.reach else "holds its edge value"
-                    warnings.append(
-                        f"warning: {model.name} on {e.name}: {schedule.name} leaves the range the model knows, "
-                        f"{low:g} to {high:g} {schedule.unit}, by {100 * beyond:.0f} % of it; there the model {how}"
-                    )
+        warnings += [line for e in held_out for line in _beyond(model, e)]
     return scores, warnings
 
 
-def _beyond_nodes(model: Model, held_out: Dataset) -> Iterator[str]:
-    """A warning for each input of a record that leaves the nodes of its curve."""
+def _beyond(model: Model, e: Experiment) -> Iterator[str]:
+    """A warning for each input of a record that leaves the nodes of its curve, and each schedule that leaves its span."""
     for curve in model.curves if isinstance(model, HammersteinWienerModel) else ():
         low, high = curve.u[0], curve.u[-1]
-        for e in held_out:
-            beyond = max(low - e[curve.input].min(), e[curve.input].max() - high) / (high - low)
-            if beyond > MUCH:
-                yield (
-                    f"warning: {model.name} on {e.name}: {curve.input} leaves what its curve was found on, {low:g} to {high:g},"
-                    f" by {100 * beyond:.0f} % of it; there the curve goes straight on"
-                )
+        if (beyond := _left(e[curve.input], low, high)) > MUCH:
+            yield (
+                f"warning: {model.name} on {e.name}: {curve.input} leaves what its curve was found on, {low:g} to {high:g},"
+                f" by {100 * beyond:.0f} % of it; there the curve goes straight on"
+            )
+    for schedule, (low, high) in zip(model.schedules, model.spans, strict=True):
+        if (beyond := _left(e[schedule.name], low, high)) > MUCH:
+            how = f"follows its polynomials up to {100 * model.reach:.0f} %" if model.reach else "holds its edge value"
+            yield (
+                f"warning: {model.name} on {e.name}: {schedule.name} leaves the range the model knows, "
+                f"{low:g} to {high:g} {schedule.unit}, by {100 * beyond:.0f} % of it; there the model {how}"
+            )
+
+
+def _left(values: np.ndarray, low: float, high: float) -> float:
+    """How far values leave a range, in widths of it."""
+    return float(max(low - values.min(), values.max() - high) / ((high - low) or 1.0))
 
 
 def _method(name: str) -> Method:
@@ -317,7 +317,8 @@ def _curved(records: Dataset, progress: Progress) -> HammersteinWienerModel | No
     """A Hammerstein-Wiener model, where there is one that follows what it was not fitted to."""
     progress(f"{CURVES}: looked for, no other method follows these records")
     try:
-        return HammersteinWiener().fit(records) if HammersteinWiener().look(records).FIT > FOLLOWS else None
+        seen = HammersteinWiener().look(records)
+        return HammersteinWiener().of(seen, records) if seen.FIT > FOLLOWS else None
     except InputError:
         return None
 

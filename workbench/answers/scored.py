@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from workbench.hammerstein import HammersteinWienerModel
+from workbench.hammerstein import Model
 from workbench.intervals.coverage import Coverage
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel
 from workbench.metrics import Score, to_json
 from workbench.records import record
 
@@ -15,7 +14,7 @@ from workbench.records import record
 class ScoredModel:
     """A model, its file, its scores, and for an interval model its envelopes; against: why it is not handed out, if it is not."""
 
-    model: LPVModel | HammersteinWienerModel | IntervalModel
+    model: Model | IntervalModel
     file: str
     scores: tuple[Score, ...]
     envelopes: tuple[Coverage, ...] = ()

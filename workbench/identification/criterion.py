@@ -14,7 +14,7 @@ from workbench.data import Dataset
 from workbench.errors import check_known
 from workbench.identification.hammerstein import HammersteinWiener
 from workbench.identification.output_error.method import OutputError
-from workbench.identification.output_error.refine import refinable, refined, work
+from workbench.identification.output_error.refine import affordable, refinable, refined
 from workbench.identification.output_error.state_space import LPVOutputError
 from workbench.identification.selection import Method, parts
 from workbench.lpv import LPVModel
@@ -23,7 +23,6 @@ from workbench.records import record
 
 Criterion = Literal["best", "prediction", "simulation"]
 CRITERIA: tuple[str, ...] = get_args(Criterion)
-MOST = 1e9  # multiplications of one pass along the records, some seconds: beyond that a refinement must be asked for
 BY_FREE_RUNS = (OutputError, LPVOutputError, HammersteinWiener)  # methods whose criterion is that already
 BETTER = 0.5  # points of FIT on the parts: what a refinement must gain
 
@@ -63,7 +62,7 @@ class ByCriterion:
 
 def _pays(model: LPVModel, dataset: Dataset) -> bool:
     """Whether a refinement on parts of the records makes free runs better on those between them."""
-    if not refinable(model) or work(model, dataset) > MOST:
+    if not affordable(model, dataset):  # a refinement that takes longer must be asked for
         return False
     seen, unseen = parts(dataset)
     if min(map(len, unseen)) < 2 * model.warmup + 2:

@@ -21,7 +21,7 @@ from workbench.data import Dataset, Experiment
 from workbench.errors import InputError, check_known
 from workbench.hammerstein import Curve, HammersteinWienerModel, with_curves, with_signs
 from workbench.identification.lti import LTI
-from workbench.identification.output_error.refine import refinable, refined, work
+from workbench.identification.output_error.refine import affordable, noise_of, refined
 from workbench.identification.schedules import schedules_of
 from workbench.identification.selection import Judged, parts
 from workbench.identification.signs import with_lost_signs
@@ -38,7 +38,6 @@ RESPONSES = 60  # samples of the impulse responses that begin the curves
 WORTH = 0.9  # of the error on what was left out: what curves, and more nodes, must do, surely
 SPARED = 1.03  # of that error: what an input may cost that goes without its curve
 STRAIGHT = 0.05  # of the spread of an input: a curve that is no farther from it is none
-WORK = 1e9  # multiplications of a pass along the records, beyond which the core is not refined by free runs
 
 
 @record
@@ -96,15 +95,17 @@ class HammersteinWiener:
         if any(c.has_role("output") for c in schedules_of(first)):
             mend = "take another schedule, or none"
             raise InputError("a static curve before a model whose schedule is its own output", file=first.name, mend=mend)
-        seen = self.look(dataset)
+        return self.of(self.look(dataset), dataset)
+
+    def of(self, seen: "Seen", dataset: Dataset) -> HammersteinWienerModel:
+        """The model of all records with the signs and curves that a look at them found. Raises InputError where it found none."""
         if seen.nodes == 0 and not seen.unsigned:
             said = f"no static curve of an input makes free runs better on parts of the records that were left out ({seen.tried})"
-            raise InputError(said, file=first.name, mend="take lti, ssm or another method")
+            raise InputError(said, file=dataset.names[0], mend="take lti, ssm or another method")
         model = self._alternated(seen.records, seen.unsigned, seen.nodes, seen.curves, [c.input for c in seen.curves])
-        e = np.concatenate([(own[_names(model)] - model.predict(own))[model.warmup :] for own in dataset])
         notes = (f"free-run FIT on parts that were left out, by nodes of a curve: {seen.tried}", *_said(model))
-        noise = np.atleast_2d(np.cov(e.T)) if np.isfinite(e).all() else None
-        return replace(model, noise=noise, trained_on=dataset.fingerprints, notes=notes)
+        noise = noise_of(model, dataset)
+        return replace(model, noise=noise if np.isfinite(noise).all() else None, trained_on=dataset.fingerprints, notes=notes)
 
     # ---- what there is to be found -----------------------------------------------------------------------------------
 
@@ -156,10 +157,12 @@ class HammersteinWiener:
 
     def _spared(self, best: Seen, seen: Dataset, unseen: Dataset) -> Seen:
         """Without the curves of inputs that run as well without."""
-        for name in [curve.input for curve in best.curves] if len(best.curves) > 1 else []:
+        for name in [curve.input for curve in best.curves]:
             rest = [curve.input for curve in best.curves if curve.input != name]
+            if not rest:
+                break
             model, now = self._judged(seen, unseen, best.unsigned, best.nodes, best.curves, rest)
-            if rest and 100.0 - now.mean <= SPARED * (100.0 - best.FIT):
+            if 100.0 - now.mean <= SPARED * (100.0 - best.FIT):
                 best = replace(best, curves=model.curves, FIT=now.mean)
         return best
 
@@ -211,7 +214,7 @@ class HammersteinWiener:
         method = self.core or self._usual(bool(dataset.experiments[0].names_of("schedule")))
         inner = Dataset(tuple(with_curves(e, curves) for e in dataset))
         core: LPVModel = method.fit(inner)
-        if refinable(core) and work(core, inner) <= WORK:
+        if affordable(core, inner):
             core = refined(core, inner)
         model = HammersteinWienerModel(self.name, core, curves, unsigned)
         z = [model.run(e) for e in dataset]

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from workbench.data import Dataset
+from workbench.metrics import rmse
 
 FEWEST, ENOUGH = 100, 3000  # samples without which nothing is told, and that are looked at
 INPUTS = 3  # at most: the lifted numbers grow with their square
@@ -50,15 +51,16 @@ def lost_signs(dataset: Dataset, output: str, *, sure: bool = False) -> list[np.
     counted = np.concatenate([np.arange(n) >= FORGOTTEN * n for n in short])
     if not (sure or may_lack_signs(dataset, output)) or u[0].shape[1] > INPUTS or np.count_nonzero(counted) < FEWEST:
         return None
-    if not np.concatenate([a[:n] for a, n in zip(y, short, strict=True)])[counted].max() > 0.0:
+    seen = [a[:n] for a, n in zip(u, short, strict=True)]
+    target = np.concatenate([a[:n] for a, n in zip(y, short, strict=True)])[counted]
+    if not target.max() > 0.0:
         return None  # nothing happens in what is looked at
-    seen, target = [a[:n] for a, n in zip(u, short, strict=True)], np.concatenate([a[:n] for a, n in zip(y, short, strict=True)])
     lines, found = np.inf, (np.inf, (0.0, 0.0 + 0.0j, 0), np.zeros(0))
     for poles in _grid():
         x = np.concatenate([_responses(a, *poles) for a in seen])[counted]
         linear = np.column_stack([x, np.ones(len(x))])
-        lines = min(lines, _rms(linear @ np.linalg.lstsq(linear, target[counted], rcond=None)[0] - target[counted]))
-        missed, g = _sized(x, target[counted])
+        lines = min(lines, rmse(target, linear @ np.linalg.lstsq(linear, target, rcond=None)[0]))
+        missed, g = _sized(x, target)
         if missed < found[0]:
             found = (missed, poles, g)
     missed, poles, g = found
@@ -97,15 +99,11 @@ def _sized(x: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
     g, missed = vectors[:, -1] * np.sqrt(max(values[-1], 0.0)), np.inf
     for _ in range(ROUNDS):
         moved = np.linalg.lstsq(x, np.where(x @ g < 0.0, -y, y), rcond=None)[0]
-        left = _rms(np.abs(x @ moved) - y)
+        left = rmse(y, np.abs(x @ moved))
         if not left < missed:
             break
         g, missed = moved, left
     return missed, g / scale
-
-
-def _rms(e: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(e**2)))
 
 
 def with_lost_signs(dataset: Dataset, outputs: Sequence[str] | None = None) -> tuple[tuple[str, ...], list[np.ndarray]]:

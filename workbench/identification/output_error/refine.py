@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from workbench.data import Dataset, Experiment
+from workbench.hammerstein import Model
 from workbench.identification.output_error.fence import Fence
 from workbench.identification.output_error.free_numbers import FreeNumbers, constant_gain, constant_weights
 from workbench.identification.output_error.passes import along
@@ -35,6 +36,7 @@ BEGUN = 5  # steps to a start
 NODES = 513  # schedule values between which the functions of a schedule that is an output are read
 FORGOTTEN = 0.01  # share of a start that is left after the predictor's warm-up
 LONGEST = 10  # of a record: the longest warm-up is one by this number
+MOST = 1e9  # multiplications of one pass along the records, some seconds
 
 
 @record
@@ -268,7 +270,12 @@ def finished(own: FreeNumbers, runs: Runs, dataset: Dataset) -> LPVModel | None:
     if not (np.isfinite(cost) and np.isfinite(H).all()):
         return None
     predicting = _with_predictor(own.model, runs)
-    return replace(predicting, noise=_noise(predicting, dataset), estimates=estimates(own, H, blocks))
+    return replace(predicting, noise=noise_of(predicting, dataset), estimates=estimates(own, H, blocks))
+
+
+def affordable(model: LPVModel, dataset: Dataset) -> bool:
+    """Whether its free runs can be fitted, and in some seconds."""
+    return refinable(model) and work(model, dataset) <= MOST
 
 
 def work(model: LPVModel, dataset: Dataset) -> float:
@@ -277,7 +284,7 @@ def work(model: LPVModel, dataset: Dataset) -> float:
     return float(sum(map(len, dataset))) * P * (n * n + len(model.outputs) * (n + P))
 
 
-def _noise(model: LPVModel, dataset: Dataset) -> np.ndarray:
+def noise_of(model: Model, dataset: Dataset) -> np.ndarray:
     """Covariance (ny, ny) of the one-step errors after the warm-up."""
     names = [c.name for c in model.outputs]
     e = np.concatenate([(own[names] - model.predict(own))[model.warmup :] for own in dataset])
