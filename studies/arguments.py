@@ -265,6 +265,17 @@ def check_file(path: str | None, option: str) -> None:
         )
 
 
+def check_files(data: str | None, files: Iterable[Path], mend: str) -> list[Path]:
+    """Files of measured records in the folder `data`. Raises InputError where it is not given, or one is missing."""
+    if data is None:
+        raise InputError("this study needs measured records", mend=mend)
+    paths = [Path(data) / file for file in files]
+    for path in paths:
+        if not path.is_file():
+            raise InputError("no such file", file=path, mend=mend)
+    return paths
+
+
 def record_files(folder: Path) -> list[Path]:
     """The records in a user's folder, by name: at least two, for one of them is held out."""
     if not folder.is_dir():

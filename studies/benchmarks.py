@@ -19,14 +19,14 @@ import numpy as np
 from scipy.signal import welch
 
 from plants import POSITIONING_AXIS
-from studies import emps_laws, real_plants, real_records
-from studies.answers import plant_of
+from studies import emps_laws, real_plants
+from studies.arguments import check_files
+from studies.real_records import run_by_rule
 from workbench.data import Dataset, Experiment
 from workbench.diagnosis.diagnosis import diagnose
-from workbench.diagnosis.runs import Runner
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
-from workbench.hammerstein import HammersteinWienerModel
+from workbench.hammerstein import Model
 from workbench.identification.criterion import ByCriterion
 from workbench.identification.hammerstein import HammersteinWiener
 from workbench.identification.lti import LTI
@@ -34,9 +34,9 @@ from workbench.identification.output_error.method import OutputError
 from workbench.identification.output_error.state_space import LPVOutputError
 from workbench.identification.selection import Method
 from workbench.identification.ssm import SSM
-from workbench.lpv import LPVModel
 from workbench.metrics import fit, rmse
 from workbench.physics.extension import extension
+from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.readers import read_file, write_csv
 from workbench.records import field, record
@@ -80,7 +80,8 @@ class Benchmark:
     """A set: its folder, estimation and test files, roles, methods, tests.
 
     measure: RMSE [unit], FIT [%], or BFR0 [%], which is FIT without the noise of the measured output. scale: of `unit` in the
-    record's own. physics: whether the study real-records has a plant of it. schedule: none where the methods take none.
+    record's own. plant: what the diagnosis begins at; drift: whether forces that nobody logged may be noise. replay: whether the
+    estimation output, played again, stands beside. schedule: none where the methods take none.
     """
 
     name: str
@@ -95,7 +96,9 @@ class Benchmark:
     measure: str = "RMSE"
     unit: str = ""
     scale: float = 1.0
-    physics: str = ""
+    plant: Plant | None = None
+    drift: bool = True
+    replay: bool = False
     note: str = ""
 
 
@@ -117,7 +120,7 @@ BENCHMARKS = {
             "gyroscope, 3 schedules", "real/gyroscope", ("ML_estim.mat",), ("ML_valid.mat",), ("exp_u",), ("exp_y",),
             {"lti": LINEAR["lti"], "lpv-oe": OVER["lpv-oe"]},
             (Rule("ML_valid", 50, {"linear ARX": 30.0, "affine LPV-ARX": 76.0, "LPV-SUBNET": 98.0}),),
-            schedule=("exp_p1", "exp_p2", "exp_p3"), measure="BFR0", unit="%", physics="gyroscope", note=GYROSCOPE,
+            schedule=("exp_p1", "exp_p2", "exp_p3"), measure="BFR0", unit="%", plant=real_plants.GYROSCOPE, note=GYROSCOPE,
         ),
         Benchmark(
             "silverbox", "real/silverbox", ("multisine_train.csv",), ("multisine_test.csv", "arrow.csv"), ("V1",), ("V2",),
@@ -127,23 +130,23 @@ BENCHMARKS = {
                 Rule("arrow", 50, {"linear": 14.4, "best": 0.26}),
                 Rule("arrow", 50, {"linear": 6.58, "best": 0.26}, stop=BEGINNING),
             ),
-            schedule=("V2",), unit="mV", scale=1e3, physics="silverbox",
+            schedule=("V2",), unit="mV", scale=1e3, plant=real_plants.SILVERBOX,
         ),
         Benchmark(
             "cascaded tanks", "real/cascaded_tanks", ("est.csv",), ("val.csv",), ("u",), ("y",), LINEAR | OVER,
             (Rule("val", 4, {"linear": 0.588, "CT-SUBNET": 0.306, "grey box": 0.191}),),
-            schedule=("y",), unit="V", physics="cascaded_tanks",
+            schedule=("y",), unit="V", plant=real_plants.CASCADED_TANKS,
         ),
         Benchmark(
             "coupled drives", "real/coupled_drives", ("run2_train.csv", "run3_train.csv"), ("run2_test.csv", "run3_test.csv"),
             ("u",), ("y",), LINEAR | {"hammerstein": WITHOUT["hammerstein"]}, (Rule("run2_test", 4), Rule("run3_test", 4)),
-            measure="FIT", unit="%", physics="coupled_drives",
+            measure="FIT", unit="%", plant=real_plants.COUPLED_DRIVES,
             note="the split is ours; on the official test records 0.224 and 0.384 (linear) to 0.096 and 0.074 are published",
         ),
         Benchmark(
             "EMPS", "emps", ("DATA_EMPS.mat",), ("DATA_EMPS_PULSES.mat",), ("F",), ("q",), LINEAR,
             (Rule("DATA_EMPS_PULSES", 20, {"linear": 5.53, "CT-SUBNET": 4.61, "dynoNet": 2.64}),),
-            unit="mm", scale=1e3, physics="positioning axis",
+            unit="mm", scale=1e3, plant=POSITIONING_AXIS, drift=False, replay=True,  # all forces but friction were logged
             note="both records follow one reference: the estimation output, played again, errs least: it tells little",
         ),
         Benchmark(
@@ -174,7 +177,7 @@ def main(
     del seed  # measured records
     wanted = QUICK if quick else tuple(BENCHMARKS)
     files = _files(data, wanted)
-    configuration = fingerprint(LAYOUT, Path(__file__).read_text(encoding="utf-8"), real_records.configured())
+    configuration = fingerprint(LAYOUT, *(Path(file).read_text(encoding="utf-8") for file in (__file__, real_plants.__file__)))
     keys = [f"{name}: {method}" for name in wanted for method in _methods(BENCHMARKS[name])]
     work = partial(judged, data=str(data), folder=folder, configuration=configuration)
     rows = resumed(
@@ -197,21 +200,15 @@ def main(
 def _files(data: str | None, wanted: Sequence[str]) -> list[Path]:
     """Every file of the sets. Raises InputError that says which is missing."""
     mend = "put the records (docs/benchmarks.md) into a folder with real, emps and winding_daisy in it, and give --data FOLDER"
-    if data is None:
-        raise InputError("this study needs measured records", mend=mend)
     own = [BENCHMARKS[name] for name in wanted]
-    files = [Path(data) / b.folder / file for b in own for file in dict.fromkeys((*b.estimation, *b.held_out))]
-    for path in files:
-        if not path.is_file():
-            raise InputError("no such file", file=path, mend=mend)
-    return files
+    return check_files(data, [Path(b.folder) / file for b in own for file in dict.fromkeys((*b.estimation, *b.held_out))], mend)
 
 
 def _methods(b: Benchmark) -> Iterator[str]:
     yield from b.methods
-    if b.physics:
+    if b.plant:
         yield NAMED
-    if b.name == "EMPS":
+    if b.replay:
         yield REPLAYED
 
 
@@ -222,7 +219,7 @@ def judged(key: str, data: str, folder: Path, configuration: str) -> Row:
     row: Row = {"model": key, "set": name, "method": method, "configuration": configuration}
     try:
         estimation, held_out = records_of(b, Path(data))
-        run, about = _runner(b, method, estimation, Path(data), folder)
+        run, about = _runner(b, method, estimation)
         results = {}
         for test in b.tests:
             e = next(e for e in held_out if e.name == test.record)
@@ -236,37 +233,24 @@ def judged(key: str, data: str, folder: Path, configuration: str) -> Row:
     return row | {"results": results, "about": about, "seconds": time.process_time() - started}
 
 
-def _runner(
-    b: Benchmark, method: str, estimation: Dataset, data: Path, folder: Path
-) -> tuple[Callable[[Experiment, int], np.ndarray], str]:
+def _runner(b: Benchmark, method: str, estimation: Dataset) -> tuple[Callable[[Experiment, int], np.ndarray], str]:
     """What runs freely on a record from its first samples, (N, ny), and what it is, in words."""
     if method == REPLAYED:
         again = estimation.experiments[0][list(b.outputs)]
         return lambda e, begin: again[: len(e)], "no model: what was measured on the estimation record"
-    if method == NAMED:
-        plant, about = _extended(b, estimation, data, folder)
-        return lambda e, begin: _plant_run(plant, e, begin), about
-    model: LPVModel | HammersteinWienerModel = b.methods[method].fit(estimation)
+    if method == NAMED and b.plant:
+        plant, about = _extended(b.plant, estimation, b.drift)
+        return lambda e, begin: run_by_rule(plant, e, begin), about
+    model: Model = b.methods[method].fit(estimation)
     return lambda e, begin: model.simulate(e, warmup=begin), f"order {model.order}"
 
 
-def _extended(b: Benchmark, estimation: Dataset, data: Path, folder: Path):
-    """The plant as the diagnosis of the estimation records extends it, and the causes that it names."""
-    if b.name == "EMPS":  # every force but friction was logged: slow noise would take friction in
-        found = diagnose(POSITIONING_AXIS, estimation, drift=False)
-        axis = POSITIONING_AXIS.with_courses(found.between)
-        whole = extension(axis, axis.name, found.parameters, found.effects).of(axis)
-        return whole, "; ".join(c.key for c in found.causes) or "no cause named"
-    machine, own = real_records.MACHINES[b.physics], folder / "physics"
-    row = real_records.run_machine(b.physics, own, str(data / "real"), "")
-    if "verdict" not in row:
-        raise InputError(str(row.get("refused", "the diagnosis failed")), file=b.physics)
-    return plant_of(row, getattr(real_plants, machine.plant)), "; ".join(c["key"] for c in row["causes"]) or "no cause named"
-
-
-def _plant_run(plant: Any, e: Experiment, begin: int) -> np.ndarray:
-    runner = Runner.of(plant, e)
-    return runner.whole([runner.u], beginning=begin)[0]
+def _extended(plant: Plant, estimation: Dataset, drift: bool) -> tuple[Plant, str]:
+    """The plant as the diagnosis of the estimation records alone extends it, and the causes that it names."""
+    found = diagnose(plant, estimation, drift=drift)
+    plant = plant.with_courses(found.between)
+    whole = extension(plant, plant.name, found.parameters, found.effects).of(plant)
+    return whole, "; ".join(c.key for c in found.causes) or "no cause named"
 
 
 def _measured(b: Benchmark, y: np.ndarray, z: np.ndarray, dt: float) -> float | None:

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from studies import answers, real_plants
+from studies.arguments import check_files
 from studies.real_scores import Ending, Machine, Reference, Summary, against, agreeing, ending, sized, summary
 from studies.stranger_scores import HORIZONS, Row, ratios
 from studies.targets import Target, reached, target_table, to_json
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.runs import Runner
-from workbench.errors import InputError
 from workbench.files import nullable, write_json
 from workbench.metrics import fit, rmse
 from workbench.physics.plant import Plant
@@ -203,13 +203,8 @@ def main(
 def _files(data: str | None, machines: Sequence[str]) -> list[Path]:
     """Every file of the machines. Raises InputError that says which is missing."""
     mend = "put the records of the nine machines (docs/diagnosis.md) into a folder with a folder for each, and give --data FOLDER"
-    if data is None:
-        raise InputError("this study needs measured records", mend=mend)
-    files = [Path(data) / name / file for name in machines for file in (*MACHINES[name].records, *MACHINES[name].held_out)]
-    for path in files:
-        if not path.is_file():
-            raise InputError("no such file", file=path, mend=mend)
-    return files
+    own = [(Path(name), MACHINES[name]) for name in machines]
+    return check_files(data, [folder / file for folder, m in own for file in (*m.records, *m.held_out)], mend)
 
 
 def run(folder: Path, data: str, machines: Sequence[str], jobs: int = 1, progress: Say = lambda _: None) -> list[dict[str, Any]]:
@@ -287,11 +282,16 @@ def _by_their_rule(ref: Reference, plants: Sequence[Plant], held_out: Dataset) -
     e = next(e for e in held_out if e.name == ref.record)
     found = []
     for plant in plants:
-        runner = Runner.of(plant, e)
-        y, z = runner.y[ref.begin :, 0], runner.whole([runner.u], beginning=ref.begin)[0][ref.begin :, 0]
+        y, z = e[plant.output_names[0]][ref.begin :], run_by_rule(plant, e, ref.begin)[ref.begin :, 0]
         value = (ref.scale * rmse(y, z) if ref.measure == "RMSE" else fit(y, z)) if np.isfinite(z).all() else None
         found.append(value)
     return found
+
+
+def run_by_rule(plant: Plant, e: Experiment, begin: int) -> np.ndarray:
+    """The free run (N, ny) of a plant on a record, its start fitted to the first `begin` samples alone."""
+    runner = Runner.of(plant, e)
+    return runner.whole([runner.u], beginning=begin)[0]
 
 
 def _write_runs(folder: Path, plant: Plant, e: Experiment, runs: Mapping[str, np.ndarray]) -> None:
