@@ -31,6 +31,10 @@ class Powers:
 
     def functions(self, rho) -> list:
         """phi_j at a number, an array or a CasADi symbol."""
+        if self.exponents.min() < 0 and isinstance(rho, (int, float, np.ndarray)) and np.any(np.equal(rho, 0.0)):
+            raise InputError(
+                f"{self.names[int(self.exponents.argmin())]} of a schedule that is 0", mend="keep the schedule away from 0"
+            )
         return [(rho / self.scale) ** float(e) for e in self.exponents]
 
     def slopes(self, rho: float) -> list:

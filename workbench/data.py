@@ -47,6 +47,8 @@ class Channel:
 
     def __post_init__(self):
         check_known("role", self.role, get_args(Role))
+        if not (isinstance(self.name, str) and isinstance(self.unit, str)):  # what a file holds may be anything
+            raise InputError(f"a channel's name {self.name!r} and unit {self.unit!r} must be text")
 
     def has_role(self, *roles: Role) -> bool:
         """Whether its role is one of these; a scheduled output is an output and a schedule.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "gain-scheduling-workbench/lpv-model"
 VERSION = 1
-OTHERS: dict[Any, str] = {  # models of other kinds, which this reader is given by mistake
+OTHERS: dict[str, str] = {  # models of other kinds, which this reader is given by mistake
     "interval-model": "read it with load_interval_model",
     "gain-scheduling-workbench/hammerstein-wiener-model": "it is a Hammerstein-Wiener model, which this does not take: "
     "identify with --model lti or ssm; in Python load_hammerstein(..).core is the LPV model behind its curves",
@@ -597,7 +597,9 @@ def load_model(path) -> LPVModel:
     content = read_json(path)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         schema = content.get("schema") if isinstance(content, dict) else None
-        raise InputError("not an LPV model", file=path, mend=OTHERS.get(schema, f"expected a JSON object with schema {SCHEMA!r}"))
+        raise InputError(
+            "not an LPV model", file=path, mend=OTHERS.get(str(schema), f"expected a JSON object with schema {SCHEMA!r}")
+        )
     if content.get("version") != VERSION:
         raise InputError(f"model version {content.get('version')}, this program reads {VERSION}", file=path)
     try:

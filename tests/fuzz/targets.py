@@ -17,8 +17,13 @@ from controllers.pid import pid
 from plants import PLANTS
 from tests.controllers.test_mpc import law as mpc_law
 from tests.controllers.test_mpc import lpv
+from tests.workbench.intervals.test_model import METHODS as INTERVALS
+from tests.workbench.intervals.test_model import plant as interval_records
 from tests.workbench.robustness.test_verdict import drawn_loop
+from workbench.data import Dataset
 from workbench.errors import InputError
+from workbench.hammerstein import Curve, HammersteinWienerModel, load_hammerstein
+from workbench.intervals.model import IntervalModel, load_interval_model
 from workbench.lpv import load_model
 from workbench.physics.extension import extension, load_extension
 from workbench.readers import read_file
@@ -141,6 +146,8 @@ def targets(folder: Path) -> dict[str, Target]:
         "limits": Target(load_limits, ".toml", LIMITS),
         "sweep": Target(load_sweep, ".toml", SWEEP),
         "model": Target(load_model, ".json", _saved(lpv().save, folder)),
+        "hammerstein": Target(load_hammerstein, ".json", _saved(_curved().save, folder)),
+        "interval": Target(load_interval_model, ".json", _saved(_interval().save, folder)),
         "pid": Target(law_of, ".json", _saved(lambda path: save_controller(law, path), folder)),
         "mpc": Target(law_of, ".json", _saved(lambda path: save_controller(mpc_law(), path), folder)),
         "extension": Target(
@@ -152,6 +159,17 @@ def targets(folder: Path) -> dict[str, Target]:
         "sequence": Target(load_sequence, ".json", _saved(_growth().save, folder)),
         "report": Target(reread, ".json", whole),
     }  # fmt: skip
+
+
+def _curved() -> HammersteinWienerModel:
+    core = lpv()
+    return HammersteinWienerModel(
+        "h", core, (Curve(core.inputs[0].name, [-1.0, 0.0, 2.0], [-0.5, 0.0, 3.0]),), (core.outputs[1].name,), np.eye(2)
+    )
+
+
+def _interval() -> IntervalModel:
+    return INTERVALS["by schedule"].fit(Dataset((interval_records(60, 1),)))
 
 
 def _growth() -> Growth:

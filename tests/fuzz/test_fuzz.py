@@ -8,6 +8,7 @@ import re
 import tempfile
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -18,7 +19,8 @@ from tests.fuzz.targets import targets
 from workbench import readers
 from workbench.errors import InputError
 
-NAMES = ("csv", "mat", "limits", "sweep", "model", "pid", "mpc", "extension", "diagnosis", "counterexample", "sequence", "report")
+JSON = ("model", "hammerstein", "interval", "pid", "mpc", "extension", "diagnosis", "counterexample", "sequence", "report")
+NAMES = ("csv", "mat", "limits", "sweep", *JSON)
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,30 @@ def test_a_number_beyond_all_floats_at_any_place_is_read_or_refused(every, name,
     assert len(places) > 3
     for start, end in places:
         target.tried(tmp_path, (text[:start] + number + text[end:]).encode())
+
+
+def _places(content, at=()):
+    """Where a JSON value stands: itself, and all in it, of lists the first and the last."""
+    yield at
+    if isinstance(content, dict):
+        for key in content:
+            yield from _places(content[key], (*at, key))
+    elif isinstance(content, list) and content:
+        for k in sorted({0, len(content) - 1}):
+            yield from _places(content[k], (*at, k))
+
+
+@pytest.mark.parametrize("other", [[], {}, None, "x", True, -1, 0, [[1.0]]], ids=repr)
+@pytest.mark.parametrize("name", JSON)
+def test_a_value_of_another_kind_at_any_place_is_read_or_refused(every, name, other, tmp_path):
+    target = every[name]
+    for place in _places(json.loads(target.seed)):
+        content: Any = {"all": json.loads(target.seed)}
+        holder, key = content, "all"
+        for step in place:
+            holder, key = holder[key], step
+        holder[key] = other
+        target.tried(tmp_path, json.dumps(content["all"]).encode())
 
 
 def test_an_infinite_place_in_a_model_is_a_refusal(every, tmp_path):
