@@ -203,6 +203,21 @@ def misled(row: Row) -> list[str]:
     return [key for key, own in said.items() if not keys & own.union(*_together(own, keys))]
 
 
+def disordered(rows: Iterable[Row]) -> list[str]:
+    """Sizes whose interval does not hold them: such a sentence contradicts itself."""
+    sizes = (
+        (row["seed"], c["key"], name, *size)
+        for row in rows
+        for c in row.get("causes", ())
+        for name, size in c["parameters"].items()
+    )
+    return [
+        f"{seed}: {key} {name} {value:.4g} in [{low:.4g}, {high:.4g}]"
+        for seed, key, name, value, low, high in sizes
+        if not low <= value <= high
+    ]
+
+
 def outcome(row: Row) -> Outcome:
     """What was said about the single effect of a row."""
     key, causes = row["truth"][0]["key"], beyond_rounding(row)

@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 
 from studies.hidden_effects import limits_of, run_case, said
-from studies.hidden_scores import Outcome, must_be_found, outcome, share, strangers
+from studies.hidden_scores import Outcome, disordered, must_be_found, outcome, share, strangers
 from tests.hidden.case import Kind, lot_of
 
 pytestmark = pytest.mark.slow
@@ -54,6 +54,10 @@ def test_the_sample_holds_thirty_cases_of_every_machine_and_kind():
 
 def test_every_case_comes_to_an_answer(rows):
     assert not (lost := [row for row in rows if "error" in row or "undrawn" in row]), listed(lost)
+
+
+def test_every_interval_holds_its_number(rows):
+    assert not (strange := disordered(rows)), strange
 
 
 @pytest.mark.parametrize("machine", [*SHARES, "web-winding"])

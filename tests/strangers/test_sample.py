@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from studies.hidden_scores import misled
+from studies.hidden_scores import disordered, misled
 from studies.strangers import configured, run_case, said
 from tests.strangers.case import Kind, draw, machine_of
 from tests.strangers.registry import MACHINES
@@ -31,6 +31,11 @@ def listed(rows) -> str:
 @pytest.mark.slow
 def test_every_case_comes_to_an_answer(rows):
     assert not (lost := [row for row in rows if "verdict" not in row]), listed(lost)
+
+
+@pytest.mark.slow
+def test_every_interval_holds_its_number(rows):
+    assert not (strange := disordered(rows)), strange
 
 
 @pytest.mark.slow

@@ -236,7 +236,9 @@ def said_against(law: Law) -> str:
 
 
 def _spanning(sizes: dict[str, Estimate], others: Sequence[Other]) -> dict[str, Estimate]:
-    """Sizes whose first, a time, has an interval that holds those of the other times too."""
+    """Sizes whose first, a time where it has others, has an interval that holds those of the other times too."""
+    if not others:
+        return sizes
     name, found = next(iter(sizes.items()))
     low, high = (end(getattr(own, side) for own in (found, *others)) for end, side in ((min, "low"), (max, "high")))
     return sizes | {name: replace(found, low=max(low, 0.0), high=high)}

@@ -42,6 +42,7 @@ def check(found, key: str, name: str, size: float):
     assert found.finding is Finding.NAMED
     (cause,) = found.causes
     assert cause.key == key
+    assert all(e.low <= e.value <= e.high for e in cause.parameters.values())
     estimate = cause.parameters[name]
     assert estimate.value == pytest.approx(size, rel=0.1)
     # four standard deviations: a 95 % interval misses one truth in twenty, and here are many
