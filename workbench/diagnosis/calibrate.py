@@ -154,13 +154,14 @@ def calibrate(
         )
     done, held = _inside(opened, dataset, free, bounds)
     judge = Judge(held_out or dataset, held_out is not None)
-    model = judge.better_ahead(Model(done.predictor, done.fit))
+    given = as_given(plant, dataset)
+    model = judge.better_ahead(given, Model(done.predictor, done.fit))
     freely = Calibrated(model.predictor, model.fit)
     if all(_beyond(f, bounds[f.name]) <= 0.0 for f in _fitted(opened, freely, held) if f.name in bounds and f.name not in held):
         done = freely
     done = replace(done, fit=sharpened(done.predictor, done.fit))
     fitted = _fitted(opened, done, held)
-    objections = judge.objections("calibrated", as_given(plant, dataset), Model(done.predictor, done.fit))
+    objections = judge.objections("calibrated", given, Model(done.predictor, done.fit))
     found = done.predictor
     starts = {
         r.name: dict(zip(plant.state_names, x.tolist(), strict=True))

@@ -118,13 +118,13 @@ def _diagnosed(
     progress("free runs")
     together, likeliest = only_together(found.base, found.steps), found
     laws = laws_instead(found.steps, found.model)  # free runs have gains in another unit
-    found = with_free_runs(found, judge)
-    progress("gains on held-out records")
     if len(found.base.predictor.noise.drift) < len(given.predictor.noise.drift):  # such a filter errs less, whatever the plant
         given = as_given(given.predictor.plant, dataset, drift=False, threads=threads)
     if len(found.base.predictor.noise.coloured):
         coloured = with_coloured_noise(given, np.zeros(len(plant.slots)))
         given = coloured if coloured.sound else given
+    found = with_free_runs(found, given, judge)
+    progress("gains on held-out records")
     made = _answered(plant, found, given, judge, laws, together and len(found.steps) > 1)
     return replace(made, next_experiment=following, notes=(*notes, *made.notes), between=between), likeliest
 

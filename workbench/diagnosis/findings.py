@@ -81,9 +81,12 @@ def forgiven(judge: Judge, found: Found) -> bool:
     return runs is not None and judge.longer(found.base, runs) < 1.0 - LONG_RUN
 
 
-def with_free_runs(found: Found, judge: Judge) -> Found:
-    """With parameters and sizes that are fitted to free runs, where these err less a second and the full run ahead."""
-    model = judge.better_ahead(found.model)
+def with_free_runs(found: Found, given: Model, judge: Judge) -> Found:
+    """With parameters and sizes that are fitted to free runs, where these err less a second and the full run ahead.
+
+    given: the plant as it came.
+    """
+    model = judge.better_ahead(given, found.model)
     if model is found.model:
         return found
     if not found.steps:
@@ -91,7 +94,7 @@ def with_free_runs(found: Found, judge: Judge) -> Found:
     steps = tuple(replace(s, before=simulated(s.before) or s.before, after=model) for s in found.steps)
     unsure = [s for s, run in zip(found.steps, steps, strict=True) if _none(run)]
     if unsure:
-        return with_free_runs(_dropped(found, min(unsure, key=lambda s: s.gain), NONE), judge)
+        return with_free_runs(_dropped(found, min(unsure, key=lambda s: s.gain), NONE), given, judge)
     return replace(found, steps=steps)
 
 

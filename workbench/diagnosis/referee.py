@@ -28,6 +28,7 @@ FAR = 5.0  # times that an error may be as large as another by chance, however f
 CORRELATED = 0.3  # autocorrelation up to which a block must reach
 LOSS = 0.0025  # share of the error by which a cause may raise it
 BETTER = 0.02  # share of the errors a second and the full run ahead by which a fit to free runs must be better
+EXCHANGED = 0.1  # of that share, by which it may err more one step ahead
 NOTICEABLE = 0.02  # the same from which what is handed out is called worse
 
 
@@ -152,12 +153,18 @@ class Judge:
         kept = [max(1.0 - c.share, 1e-9) for c in self.between(before, after) if c.horizon != ONE_STEP and c.known]
         return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
 
-    def better_ahead(self, model: Model) -> Model:
-        """The model fitted to free runs, where it errs less a second and the full run ahead and more nowhere; else as it is."""
+    def better_ahead(self, given: Model, model: Model) -> Model:
+        """The model fitted to free runs, where it errs less a second and the full run ahead and more nowhere; else as it is.
+
+        One step ahead, where a filter forgives most, it may err more by EXCHANGED of the share that it takes off further ahead,
+        as long as the plant as it was `given` errs more still.
+        """
         runs = simulated(model)
-        if runs is None or self.longer(model, runs) > 1.0 - BETTER or worse(self.between(model, runs)):
+        if runs is None or (less := 1.0 - self.longer(model, runs)) < BETTER:
             return model
-        return runs
+        dear = [c for c in worse(self.between(model, runs)) if c.horizon != ONE_STEP or c.share < -EXCHANGED * less]
+        objected = [{(c.channel, c.horizon) for c in worse(self.between(given, m))} for m in (model, runs)]
+        return model if dear or objected[1] - objected[0] else runs
 
     def objections(self, what: str, given: Model, model: Model) -> tuple[str, ...]:
         """A sentence for each channel and horizon where a model is worse than the one that it replaces."""

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.workbench.diagnosis.drive import DRIVE, records
-from workbench.diagnosis import findings
+from workbench.diagnosis import findings, referee
 from workbench.diagnosis.calibrate import calibrate, gains, trajectories
 from workbench.diagnosis.findings import _objection
 from workbench.diagnosis.gains import Held, Score
-from workbench.diagnosis.referee import Change, changes, harms, helps, worse
+from workbench.diagnosis.referee import Change, Judge, changes, harms, helps, worse
 
 DT, N = 0.01, 4000
 
@@ -167,6 +167,35 @@ def test_what_is_found_without_coloured_torques_is_judged_a_second_ahead():
     ahead = Change("y", "one-second", "m", 1.0, 0.8, True)
     assert _objection(step(60.0), True, 0.0, Told(ahead, surprise=1.0), True) == ""
     assert "held-out" in _objection(step(60.0), True, 0.0, Told(replace(ahead, sure=False), surprise=-50.0), True)
+
+
+@pytest.mark.parametrize(
+    ("one_step", "one_second", "full_run", "from_given", "taken"),
+    [
+        (1.00, 0.95, 0.95, 0.5, True),
+        (1.00, 0.99, 0.99, 0.5, False),  # no better that a fit of its own is worth
+        (1.05, 0.25, 0.25, 0.5, True),  # a twentieth one step ahead for three quarters further ahead
+        (1.09, 0.25, 0.25, 0.5, False),
+        (1.05, 0.70, 0.70, 0.5, False),
+        (1.00, 1.05, 0.25, 0.5, False),  # further ahead nothing is exchanged
+        (1.05, 0.25, 0.25, 1.04, False),  # it must stay below the plant as it came
+        (np.nan, 0.25, 0.25, 0.5, False),
+    ],
+)
+def test_free_runs_that_err_less_may_cost_a_little_one_step_ahead(monkeypatch, one_step, one_second, full_run, from_given, taken):
+    given, model, runs = (SimpleNamespace(name=name) for name in ("given", "model", "runs"))
+    monkeypatch.setattr(referee, "simulated", lambda own: runs if own is model else None)
+
+    class Known(Judge):
+        def between(self, before, after):
+            if before is given:
+                return (Change("y", "one-step", "m", 1.0, from_given if after is runs else 0.98, True),)
+            after = zip(("one-step", "one-second", "full-run"), (one_step, one_second, full_run), strict=True)
+            return tuple(Change("y", horizon, "m", 1.0, value, True) for horizon, value in after)
+
+    judge = Known(records(1), held_out=True)
+    assert judge.better_ahead(given, model) is (runs if taken else model)
+    assert judge.better_ahead(given, runs) is runs  # where no free run can be fitted
 
 
 @pytest.mark.slow
