@@ -4,11 +4,12 @@
     m  : m'' = w^2 (s - m) - 2 w m',                             w = `bandwidth`: reference model, m = s where it is infinite
     v  = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f             parallel form, gains are matrices (nu, ny) of rho
     f  = a f- + (1 - a) ((c m - y) - (c m - y)-) / dt,           a = Tf / (Tf + dt): filtered derivative
-    u  = v within `low`, `high` and `rate` from the last command
+    u  = v within `low`, `high` and `rate` from the last command;  of an actuator with a curve f the u with f(u) = v is
     z+ = z + dt Ki (m - y) + what keeps z from winding up
 
-Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start begins at
-rest at the first measurement. The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves
+With curves all of the law is in v but u and its limits, and so is what is said of the loop: there the actuator is as good as
+linear. Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start begins
+at rest at the first measurement. The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves
 while e = 0 moves u by what u0, Kr m and Kp (b - 1) m move, and not by the gains (both are the same law where rho stands
 still). As a transfer function from e = m - y, with b = c = 1, Kr = Ka = 0 and z = exp(s dt):
 
@@ -27,6 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from workbench.basis import CONSTANT, Basis, Products, basis_from_dict, basis_to_dict, functions_at, knots_of
+from workbench.curves import Curve, bent
 from workbench.errors import InputError, check_known
 from workbench.physics.controller import schedules_of
 from workbench.records import field, record
@@ -55,12 +57,13 @@ class Clamping:
 AntiWindup = BackCalculation | Clamping
 ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
 KIND = "scheduled-pid"
-SHAPED_VERSION = 2  # of a file with reference models, which programs that know none refuse
+SHAPED_VERSION, CURVED_VERSION = 2, 3  # of files with reference models, with curves, which programs that know none refuse
 LAW = "u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
 SHAPED_LAW = (
     "u = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the derivative of c m - y filtered by Tf, "
     "m'' = w^2 (s - m) - 2 w m' with w the bandwidth, s the set-point within slew of the last s"
 )
+CURVED_LAW = "{law}; of actuators with a curve all of this is v = f(u), and u the command with f(u) = v, within its limits"
 
 
 @record
@@ -75,7 +78,8 @@ class ScheduledPID:
     variables `schedule` is a tuple, `span` (ns, 2), and rho (ns,). b, c (ny): set-point weights of the proportional and the
     derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu): limits of the command.
     slew [1/s], bandwidth [rad/s] (ny), or one number for all: largest rate of the set-points, and speed of their reference
-    models; infinite: none. Ka [s] (m, nu, ny): feedforward of the reference models' rates.
+    models; infinite: none. Ka [s] (m, nu, ny): feedforward of the reference models' rates. curves: v = f(u) of actuators, which
+    rise everywhere: the law is that of v, and commands u.
 
         >>> law.gains_at(0.0).Ki.round(1), law.gains_at(10.0).Ki.round(1)
         (array([[1.5]]), array([[2.1]]))
@@ -103,6 +107,7 @@ class ScheduledPID:
     slew: np.ndarray = field("...", unit="1/s", low=1e-300, default=np.inf)
     bandwidth: np.ndarray = field("...", unit="rad/s", low=1e-300, default=np.inf)
     Ka: np.ndarray = field("...", unit="s", low=-FAR, high=FAR, default=0.0)
+    curves: tuple[Curve, ...] = ()
     name: str = "scheduled-pid"
     units: dict[str, str] = field(default_factory=dict)  # of the channels by name, where they are known
 
@@ -129,6 +134,9 @@ class ScheduledPID:
         ):
             mend = "give it a bandwidth, or Ka = 0"
             raise InputError("Ka for a set-point without a reference model", file=self.name, channel=name, mend=mend)
+        for curve in self.curves:
+            check_known("actuated channel", curve.input, self.actuated, file=self.name)
+            curve.check_rising()
         if self.schedule is None and m > 1:
             raise InputError("the gains move with a schedule that is not named", file=self.name, mend="give schedule=")
         several = schedules_of(self) if isinstance(self.schedule, tuple) else ()
@@ -171,6 +179,21 @@ class ScheduledPID:
     def unshaped(self) -> "ScheduledPID":
         """The law from m to u: what is in the loop, and the same for every slew and reference model."""
         return replace(self, slew=np.inf, bandwidth=np.inf, Ka=0.0) if self.shaped else self
+
+    @property
+    def inside(self) -> "ScheduledPID":
+        """The law of v: what is in the loop behind the curves of its actuators, and the same for every curve.
+
+        Its limits are what those of u let through; of a rate what is left of it where the curve is flattest.
+        """
+        if not self.curves:
+            return self
+        own = {c.input: c for c in self.curves}
+        low, high = (
+            [own[a](u) if a in own else u for a, u in zip(self.actuated, ends, strict=True)] for ends in (self.low, self.high)
+        )
+        rate = [own[a].slopes.min() * r if a in own else r for a, r in zip(self.actuated, self.rate, strict=True)]
+        return replace(self, low=low, high=high, rate=rate, curves=())
 
     def slewed(self, references: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Set-points (N, ny) within their slew, from `before` (ny,) on: what the linear form is given."""
@@ -255,13 +278,20 @@ class ScheduledPID:
 
     # ---- files ----------------------------------------------------------------------------------------------------------
 
+    @property
+    def sentence(self) -> str:
+        """The law in a line."""
+        law = SHAPED_LAW if self.shaped else LAW
+        return CURVED_LAW.format(law=law) if self.curves else law
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package; a limit that is not there is null."""
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
         shaping = {"slew": finite(self.slew), "bandwidth": finite(self.bandwidth), "Ka": self.Ka, "version": SHAPED_VERSION}
+        curves = {"curves": [{"input": c.input, "u": c.u, "v": c.v} for c in self.curves], "version": CURVED_VERSION}
         return {
             "kind": KIND,
-            "law": SHAPED_LAW if self.shaped else LAW,
+            "law": self.sentence,
             "name": self.name, "dt": self.dt, "actuated": list(self.actuated), "measured": list(self.measured),
             "references": list(self.references),
             "schedule": list(self.schedule) if isinstance(self.schedule, tuple) else self.schedule,
@@ -269,7 +299,7 @@ class ScheduledPID:
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "Kr": self.Kr, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
-        } | (shaping if self.shaped else {})  # fmt: skip
+        } | (shaping if self.shaped else {}) | (curves if self.curves else {})  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
@@ -285,7 +315,7 @@ class ScheduledPID:
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=schedule, name=content["name"], units=dict(content.get("units", {})), span=_ends(content["span"]),
             **{key: unlimited(content[key], np.inf) for key in ("slew", "bandwidth") if key in content},
-            Ka=content.get("Ka", 0.0),
+            Ka=content.get("Ka", 0.0), curves=tuple(Curve(c["input"], c["u"], c["v"]) for c in content.get("curves", ())),
         )  # fmt: skip
 
     def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:
@@ -304,7 +334,8 @@ class ScheduledPID:
         numbers = (self.span, *knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
         decay = self.Tf / (self.Tf + self.dt)
         shaping = (self.slew * self.dt, self.reference_model.T, self.Ka) if self.shaped else ()
-        rest = (self.dt / self.tracking, np.array([decay, (1 - decay) / self.dt]), *shaping)
+        curves = [own for c in self.curves for own in (c.bends, c.back.bends)]
+        rest = (self.dt / self.tracking, np.array([decay, (1 - decay) / self.dt]), *shaping, *curves)
         every = np.concatenate([n.ravel() for n in (*numbers, *rest)])
         return np.clip(every, -FAR, FAR)  # compiled limits count on finite numbers
 
@@ -326,14 +357,15 @@ class ScheduledPID:
         direct, f, d = self._direct(K, at, aim, y)
         after, u = [], []
         for i, own in enumerate(direct):
-            z = at.z[i] + at.takes_over * (at.u[i] - own - at.z[i])
+            z = at.z[i] + at.takes_over * (K.arrives(i, at.u[i]) - own - at.z[i])
             v = own + z
             reach = K.rate[i] + FAR * at.cold * (1.0 - at.takes_over)  # a cold start has no last command to be near to
-            u.append(np.maximum(K.low[i], np.minimum(K.high[i], _near(at.u[i], reach, v))))
+            wanted = K.commanded(i, v)
+            u.append(np.maximum(K.low[i], np.minimum(K.high[i], _near(at.u[i], reach, wanted))))
             push = sum((K.Ki[i][j] * (r[j] - y[j]) for j in range(1, len(y))), K.Ki[i][0] * (r[0] - y[0]))
             if isinstance(self.anti_windup, Clamping):
-                push = push * (1.0 - ((v - u[i]) * push > 0.0))
-            after.append(z + push + K.follow[i] * (u[i] - v))
+                push = push * (1.0 - ((wanted - u[i]) * push > 0.0))
+            after.append(z + push + K.follow[i] * (K.arrives(i, u[i]) - v))
         return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold, *aim.memory]
 
     def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
@@ -361,7 +393,7 @@ class ScheduledPID:
         K, at = self._numbers(self.gains, rho), self._split(state)
         aim = self._aim(K, at, r, y)
         direct, f, d = self._direct(K, at, aim, y)
-        z = [u[i] - own for i, own in enumerate(direct)]
+        z = [K.arrives(i, u[i]) - own for i, own in enumerate(direct)]
         return np.array([*z, *f, *d, *u, 0.0, 0.0, *aim.memory], dtype=float)
 
     def _aim(self, K: "_Numbers", at: "_Memory", r: Any, y: Any) -> "_Aim":
@@ -418,6 +450,7 @@ class ScheduledPID:
             high=take(nu), rate=take(nu), follow=take(nu), decay=take(1)[0], fresh=take(1)[0],
             slew=take(ny * self.shaped), reference_model=[take(ny) for _ in range(6 * self.shaped)],
             Ka=matrix() if self.shaped else [],
+            curves={self.actuated.index(c.input): (take(len(c.bends)), take(len(c.bends))) for c in self.curves},
         )  # fmt: skip
 
     def _split(self, state: Any) -> "_Memory":
@@ -459,6 +492,15 @@ class _Numbers(NamedTuple):
     slew: list
     reference_model: list[list]
     Ka: list[list]
+    curves: dict[int, tuple[list, list]]
+
+    def arrives(self, i: int, u: Any) -> Any:
+        """v of a command."""
+        return bent(u, self.curves[i][0]) if i in self.curves else u
+
+    def commanded(self, i: int, v: Any) -> Any:
+        """The command of a v."""
+        return bent(v, self.curves[i][1]) if i in self.curves else v
 
 
 class _Memory(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from controllers.mpc import MPC, Extrapolated
-from controllers.scheduled_pid import LAW, SHAPED_LAW, BackCalculation, ScheduledPID, finite
+from controllers.scheduled_pid import BackCalculation, ScheduledPID, finite
 from workbench.basis import Basis, PiecewiseLinear, Powers, Products
 from workbench.errors import InputError
 from workbench.lpv import mesh, one_or_all
@@ -70,6 +70,12 @@ def gain_csv(law: ScheduledPID) -> str:
     return "\n".join(rows) + "\n"
 
 
+def curve_csv(law: ScheduledPID) -> str:
+    """Nodes of the curves of actuators, v over u, as CSV."""
+    rows = [f"{c.input},{float(u)!r},{float(v)!r}" for c in law.curves for u, v in zip(c.u, c.v, strict=True)]
+    return "\n".join(["command,u,v", *rows]) + "\n"
+
+
 def gain_table(law: ScheduledPID) -> dict[str, Any]:
     """All of a PID law but its memory, as plain numbers; gains (nu, ny) by row."""
     named = lambda names: [{"name": name, "unit": law.unit(name)} for name in names]  # noqa: E731
@@ -80,11 +86,11 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
     back = isinstance(law.anti_windup, BackCalculation)
     return {
         "schema": GAIN_TABLE, "version": VERSION, "program": program(), "name": law.name,
-        "law": SHAPED_LAW if law.shaped else LAW, "dt": law.dt,
+        "law": law.sentence, "dt": law.dt,
         "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
         "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
-        **shaping,
+        **shaping, **({"curves": [{"input": c.input, "u": c.u, "v": c.v} for c in law.curves]} if law.curves else {}),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
         "largest_difference": _differences(axes, rows, lambda rho: _gains(law, rho)),

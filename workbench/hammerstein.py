@@ -9,11 +9,11 @@ dry friction at rest are such curves; a pulse counter on a shaft that turns both
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from workbench.curves import Curve
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
@@ -28,53 +28,6 @@ __all__ = ["Curve", "HammersteinWienerModel", "load_hammerstein"]
 SCHEMA = "gain-scheduling-workbench/hammerstein-wiener-model"
 VERSION = 1
 SETTLED = 200  # passes along a record, after which its signs are taken as they are
-
-
-@record
-class Curve:
-    """v = f(u) of one input: straight lines between nodes (u, v), and on along the first and the last one.
-
-    v is in the unit of u, with the mean and the standard deviation of u in the estimation records: the gain is the model's.
-
-        >>> Curve("valve", [0.0, 1.0, 2.0], [0.0, 0.5, 2.0])(np.array([0.5, 1.5, 3.0]))
-        array([0.25, 1.25, 3.5 ])
-    """
-
-    input: str
-    u: np.ndarray = field("n")
-    v: np.ndarray = field("n")
-
-    def __post_init__(self):
-        if len(self.u) < 2 or np.any(np.diff(self.u) <= 0.0):
-            raise InputError("nodes of a curve", channel=self.input, mend="give at least two, from the lowest u to the highest")
-
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """f(u) of any shape."""
-        i = self._segment(u)
-        return self.v[i] + self.slopes[i] * (u - self.u[i])
-
-    def slope(self, u: np.ndarray) -> np.ndarray:
-        """df/du; at a node that of the line after it."""
-        return self.slopes[self._segment(u)]
-
-    @cached_property
-    def slopes(self) -> np.ndarray:
-        """Slope of each line, (n - 1,)."""
-        return np.diff(self.v) / np.diff(self.u)
-
-    @property
-    def rising(self) -> bool:
-        """Whether it rises everywhere: then every v has one u."""
-        return bool(np.all(self.slopes > 0.0))
-
-    def inverse(self, v: np.ndarray) -> np.ndarray:
-        """The u with f(u) = v. Raises InputError for a curve that does not rise everywhere."""
-        if not self.rising:
-            raise InputError("the curve does not rise everywhere: some v have several u, or none", channel=self.input)
-        return Curve(self.input, self.v, self.u)(v)
-
-    def _segment(self, u: np.ndarray) -> np.ndarray:
-        return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
 
 
 @record

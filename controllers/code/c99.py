@@ -5,7 +5,7 @@ from string import Template
 
 import numpy as np
 
-from controllers.code.constants import Table, table_sizes, tables
+from controllers.code.constants import Table, curves_by_number, table_sizes, tables
 from controllers.code.text import (
     BASIS_NAMES,
     NO_LIMIT_FLOAT,
@@ -94,7 +94,7 @@ static real clipped(real x, real low, real high)
 {
     return x < low ? low : x > high ? high : x; /* what is not a number stays so */
 }
-$weights
+$curves$weights
 void ${name}_init(${name}_state *s)
 {
     *s = (${name}_state){.cold = true};
@@ -138,14 +138,14 @@ $Ka            own += $Kp * (B[j] * $aim - y[j]);
             push += PERIOD * $Ki * ($aim - y[j]);
         }
         if (s->takes_over)
-            s->z[i] = s->u[i] - own;
+            s->z[i] = $held - own;
         const real v = own + s->z[i];
-        const real way = s->cold && !s->takes_over ? NO_LIMIT : RATE[i] * PERIOD;
-        const real reached = clipped(v, s->u[i] - way, s->u[i] + way);
+${wanting}        const real way = s->cold && !s->takes_over ? NO_LIMIT : RATE[i] * PERIOD;
+        const real reached = clipped($wanted, s->u[i] - way, s->u[i] + way);
         u[i] = clipped(reached, LOW[i], HIGH[i]);
         s->limit[i] = reached < LOW[i] ? ${NAME}_AT_LOW
             : reached > HIGH[i] ? ${NAME}_AT_HIGH
-            : reached < v || reached > v ? ${NAME}_AT_RATE
+            : reached < $wanted || reached > $wanted ? ${NAME}_AT_RATE
             : ${NAME}_FREE;
         $integral
         s->u[i] = u[i];
@@ -229,10 +229,38 @@ C_SHAPING = Template("""\
         s->m[j] = MODEL[j][0] * m + MODEL[j][1] * n + MODEL[j][2] * s->s[j];
         s->n[j] = MODEL[j][3] * m + MODEL[j][4] * n + MODEL[j][5] * s->s[j];
 """)
-C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * (u[i] - v);"
+C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * ($arrives - v);"
 C_CLAMPING = """\
-if (!((v - u[i]) * push > 0))
+if (!(($wanted - u[i]) * push > 0))
             s->z[i] += push;"""
+C_CURVES = Template("""
+/* Straight lines through nodes (x, y), and on along the first and the last one. */
+static real on_lines(real at, const real *x, const real *y, int nodes)
+{
+    int k = 0;
+    while (k < nodes - 2 && at >= x[k + 1])
+        ++k;
+    return y[k] + (y[k + 1] - y[k]) / (x[k + 1] - x[k]) * (at - x[k]);
+}
+
+/* v of a command: what arrives of it. */
+static real arrives(int i, real u)
+{
+    switch (i) {
+$arrives
+    default: return u;
+    }
+}
+
+/* The command of a v. */
+static real commanded(int i, real v)
+{
+    switch (i) {
+$commanded
+    default: return v;
+    }
+}
+""")
 
 
 def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
@@ -264,9 +292,23 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "Ka": f"            own += {gain('KA[i][j]')} * {narrow}s->n[j];\n" * law.shaped,
         "shaping": C_SHAPING.substitute(double="(double)" * single) * law.shaped,
         "shaping_state": C_SHAPING_STATE.substitute(name=name, NAME=NAME) * law.shaped,
-        "integral": C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING,
+        "curves": _c_curves(law) if law.curves else "", "wanted": "wanted" if law.curves else "v",
+        "held": "arrives(i, s->u[i])" if law.curves else "s->u[i]",
+        "wanting": "        const real wanted = commanded(i, v);\n" * bool(law.curves),
+        "integral": Template(C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING).substitute(
+            arrives="arrives(i, u[i])" if law.curves else "u[i]", wanted="wanted" if law.curves else "v"
+        ),
     }  # fmt: skip
     return C_HEADER.substitute(words), C_SOURCE.substitute(words)
+
+
+def _c_curves(law: ScheduledPID) -> str:
+    """The functions from a command to what arrives of it, and back."""
+    numbers = [i for i, _ in curves_by_number(law)]
+    each = [f"    case {i - 1}: return on_lines({{at}}, CURVE_{i}_{{x}}, CURVE_{i}_{{y}}, NODES_{i});" for i in numbers]
+    ways = (("u", "U", "V"), ("v", "V", "U"))
+    arrives, commanded = ("\n".join(own.format(at=at, x=x, y=y) for own in each) for at, x, y in ways)
+    return C_CURVES.substitute(arrives=arrives, commanded=commanded)
 
 
 def _c_scheduling(law: ScheduledPID, f: str) -> str:
@@ -331,5 +373,5 @@ def _check_float(law: ScheduledPID) -> None:
         limits = table.name in ("LOW", "HIGH", "RATE")
         if not limits and not table.wide and np.abs(table.values).max() > NO_LIMIT_FLOAT:
             raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
-        if table.name.startswith(("SPAN", "KNOTS")) and np.any(np.diff(np.float32(table.values)) <= 0.0):
+        if table.name.startswith(("SPAN", "KNOTS", "CURVE")) and np.any(np.diff(np.float32(table.values)) <= 0.0):
             raise InputError(f"{table.name} holds values that are one in single precision", file=law.name, mend=mend)

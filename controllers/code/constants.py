@@ -7,6 +7,7 @@ import numpy as np
 
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
 from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
+from workbench.curves import Curve
 from workbench.physics.controller import schedules_of
 
 
@@ -50,6 +51,20 @@ def tables(law: ScheduledPID) -> list[Table]:
             else []
         ),
         *(_shaping(law) if law.shaped else []),
+        *(table for i, own in curves_by_number(law) for table in _curve(law, i, own)),
+    ]
+
+
+def curves_by_number(law: ScheduledPID) -> list[tuple[int, Curve]]:
+    """The curves of a law by the number of their command, from 1 on."""
+    return [(law.actuated.index(own.input) + 1, own) for own in law.curves]
+
+
+def _curve(law: ScheduledPID, i: int, curve: Curve) -> list[Table]:
+    own, size = channel(law, curve.input), (f"NODES_{i}",)
+    return [
+        Table(f"CURVE_{i}_U", size, curve.u, f"nodes of the curve of {own}"),
+        Table(f"CURVE_{i}_V", size, curve.v, f"what arrives of {own} at them; linear between and on at both ends"),
     ]
 
 
@@ -118,12 +133,13 @@ def _basis_tables(basis: Basis, at: str) -> list[Table]:
 def table_sizes(law: ScheduledPID) -> dict[str, int]:
     """Sizes by the names that they have in the texts."""
     m, nu, ny = law.Kp.shape
+    common = {"NU": nu, "NY": ny} | {f"NODES_{i}": len(own.u) for i, own in curves_by_number(law)}
     if not law.schedule:
-        return {"NU": nu, "NY": ny}
+        return common
     if not isinstance(law.basis, Products):
-        return {"NU": nu, "NY": ny} | _basis_sizes(law.basis)
+        return common | _basis_sizes(law.basis)
     each = [{f"{key}_{i}": n for key, n in _basis_sizes(own).items()} for i, own in enumerate(law.basis.factors, 1)]
-    return {"NU": nu, "NY": ny, "NS": len(each), "TERMS": m} | {key: n for own in each for key, n in own.items()}
+    return common | {"NS": len(each), "TERMS": m} | {key: n for own in each for key, n in own.items()}
 
 
 def _basis_sizes(basis: Basis) -> dict[str, int]:

@@ -1,10 +1,11 @@
 """A scheduled PID as IEC 61131-3 Structured Text for a PLC: a function block."""
 
 import re
+import textwrap
 from string import Template
 from typing import NamedTuple
 
-from controllers.code.constants import Table, channels, table_sizes, tables
+from controllers.code.constants import Table, channels, curves_by_number, table_sizes, tables
 from controllers.code.text import (
     BASIS_NAMES,
     NO_LIMIT,
@@ -110,17 +111,17 @@ $Ka        own := own + $Kp * (B[j] * $aim - measured[j]);
         push := push + PERIOD * $Ki * ($aim - measured[j]);
     END_FOR;
     IF takes_over THEN
-        z[i] := last[i] - own;
+$held        z[i] := $arrived - own;
     END_IF;
     v := own + z[i];
 
-    reached := v;
+$wanting    reached := $wanted;
     limited[i] := 0;
     IF warm OR takes_over THEN
-        IF v < last[i] - RATE[i] * PERIOD THEN
+        IF $wanted < last[i] - RATE[i] * PERIOD THEN
             reached := last[i] - RATE[i] * PERIOD;
             limited[i] := 3;
-        ELSIF v > last[i] + RATE[i] * PERIOD THEN
+        ELSIF $wanted > last[i] + RATE[i] * PERIOD THEN
             reached := last[i] + RATE[i] * PERIOD;
             limited[i] := 3;
         END_IF;
@@ -134,13 +135,18 @@ $Ka        own := own + $Kp * (B[j] * $aim - measured[j]);
         limited[i] := 2;
     END_IF;
 
-$integral
+$arriving$integral
     last[i] := command[i];
 END_FOR;
 warm := TRUE;
 takes_over := FALSE;
 END_FUNCTION_BLOCK
 """)
+ST_CURVE_LOCALS = """\
+    wanted : LREAL; (* the command of which v arrives *)
+    arrives : LREAL; (* what arrives of a command *)
+    node : INT;
+"""
 ST_LOCALS = """\
 $rho    (* weights of the coefficients: $meaning *)
     phi : ARRAY[1..$terms] OF LREAL;
@@ -253,9 +259,19 @@ ST_SHAPING = """\
     m[j] := MODEL[j, 1] * before + MODEL[j, 2] * n[j] + MODEL[j, 3] * s[j];
     n[j] := MODEL[j, 4] * before + MODEL[j, 5] * n[j] + MODEL[j, 6] * s[j];
 """
-ST_BACK_CALCULATION = "    z[i] := z[i] + push + PERIOD / TRACKING[i] * (command[i] - v);"
+ST_CURVE = Template("""\
+IF i = $i THEN (* on straight lines through the nodes, and on along the first and the last one *)
+    node := 1;
+    WHILE node < NODES_$i - 1 AND $at >= CURVE_${i}_$x[node + 1] DO
+        node := node + 1;
+    END_WHILE;
+    $to := CURVE_${i}_$y[node] + (CURVE_${i}_$y[node + 1] - CURVE_${i}_$y[node])
+        / (CURVE_${i}_$x[node + 1] - CURVE_${i}_$x[node]) * ($at - CURVE_${i}_$x[node]);
+END_IF;
+""")
+ST_BACK_CALCULATION = "    z[i] := z[i] + push + PERIOD / TRACKING[i] * ($arrived - v);"
 ST_CLAMPING = """\
-    IF NOT ((v - command[i]) * push > 0.0) THEN
+    IF NOT (($wanted - command[i]) * push > 0.0) THEN
         z[i] := z[i] + push;
     END_IF;"""
 
@@ -268,7 +284,8 @@ def st_code(law: ScheduledPID, name: str) -> str:
     inputs = _st_schedules(law) if scheduled else []
     kind = f"ARRAY[1..{len(inputs)}] OF LREAL" if len(inputs) > 1 else "LREAL"
     weights = _st_scheduling(law) if scheduled else ""
-    counted = re.findall(r"\w+", weights + gains)  # a constant that nobody reads is refused by some compilers
+    curves = _st_curves(law, "v", "wanted", 0)
+    counted = re.findall(r"\w+", weights + gains + curves)  # a constant that nobody reads is refused by some compilers
     names = {"outputs": law.measured, "references": law.references, "inputs": law.actuated}
     words = {
         "name": name, "head": "\n".join(plain_comment(line) for line in head_lines(law)),
@@ -277,16 +294,30 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "tables": "\n".join(_st_table(table, sizes) for table in tables(law)),
         "schedule_in": f"    schedule : {kind}; (* rho: {plain_comment(channels(law, schedules_of(law)))} *)\n" * scheduled,
         "schedule_out": "    outside : BOOL; (* the schedule is outside the span of the gains, or no number *)\n" * scheduled,
-        "locals": _st_locals(law, sizes) if scheduled else "",
+        "locals": ST_CURVE_LOCALS * bool(law.curves) + (_st_locals(law, sizes) if scheduled else ""),
         "weights": weights,
         "finite": " AND ".join(f"({own.schedule} - {own.schedule} = 0.0)" for own in inputs) or "TRUE",
         "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": gains, **named,
         "Ka": f"        own := own + {named['Ka']} * n[j];\n" * law.shaped, "shaping": ST_SHAPING * law.shaped,
         "shaping_state": Template(ST_SHAPING_STATE).substitute(ny=sizes["NY"]) * law.shaped,
         "m": "m" if law.shaped else "r", "aim": "m[j]" if law.shaped else "set_point[j]",
-        "integral": ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING,
+        "held": _st_curves(law, "last[i]", "arrives", 8), "arrived": "arrives" if law.curves else "last[i]",
+        "wanting": _st_curves(law, "v", "wanted", 4), "wanted": "wanted" if law.curves else "v",
+        "arriving": _st_curves(law, "command[i]", "arrives", 4) * isinstance(law.anti_windup, BackCalculation),
+        "integral": Template(ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING).substitute(
+            arrived="arrives" if law.curves else "command[i]", wanted="wanted" if law.curves else "v"
+        ),
     }  # fmt: skip
     return ST_BLOCK.substitute(words)
+
+
+def _st_curves(law: ScheduledPID, at: str, to: str, indent: int) -> str:
+    """Statements from a command to what arrives of it, or back, indented by so many spaces; none of a law without curves."""
+    if not law.curves:
+        return ""
+    x, y = ("V", "U") if to == "wanted" else ("U", "V")
+    each = [ST_CURVE.substitute(i=i, at=at, to=to, x=x, y=y) for i, _ in curves_by_number(law)]
+    return textwrap.indent("".join([f"{to} := {at};\n", *each]), " " * indent)
 
 
 class _Input(NamedTuple):

@@ -67,6 +67,7 @@ def head_lines(law: ScheduledPID) -> list[str]:
     scheduled = law.schedule is not None
     back = isinstance(law.anti_windup, BackCalculation)
     m, rate = ("m", " + KA n") if law.shaped else ("r", "")
+    wanted, arrives = ("the command of which v arrives,", "(what arrives of u)") if law.curves else ("v", "u")
     shaping = [
         "s  = r within SLEW PERIOD of the last s; at the start it is r",
         "m, n = MODEL (m-, n-, s): a critically damped reference model and its rate; it starts from rest at r",
@@ -77,8 +78,8 @@ def head_lines(law: ScheduledPID) -> list[str]:
         *(shaping if law.shaped else []),
         f"v  = U0 + KR {m}{rate} + KP (B {m} - y) + z + KD f{', the gains are functions of rho' * scheduled}",
         f"f  = DECAY f- + FRESH ((C {m} - y) - (C {m} - y)-), the filtered derivative; the minus marks the sample before",
-        "u  = v within LOW and HIGH, and within RATE PERIOD of the last command",
-        f"z+ = z + PERIOD KI ({m} - y){' + PERIOD / TRACKING (u - v)' * back}",
+        f"u  = {wanted} within LOW and HIGH, and within RATE PERIOD of the last command",
+        f"z+ = z + PERIOD KI ({m} - y){f' + PERIOD / TRACKING ({arrives} - v)' * back}",
         *([] if back else ["     unless a limit is reached and that would push further beyond it: then z stands still"]),
         "",
         f"commands u:     {channels(law, law.actuated)}",

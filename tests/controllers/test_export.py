@@ -23,6 +23,7 @@ from tests.controllers.compiled import CompiledLaw
 from tests.controllers.structured_text import FunctionBlock, STError
 from tests.controllers.test_mpc import lpv
 from workbench.basis import Gaussian, PiecewiseLinear, Powers, Products
+from workbench.curves import Curve
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -31,6 +32,8 @@ from workbench.simulation import simulate
 UNITS = {"V1": "V", "V2": "V", "w3": "rad/s", "theta": "deg", "r2": "m"}
 FREE, AT_LOW, AT_HIGH, AT_RATE = range(4)
 KNOTS = PiecewiseLinear((0.011, 0.0125, 0.0264))
+VALVE = Curve("V1", [-3.0, -0.4, 0.3, 4.0], [-2.0, -0.1, 0.1, 5.0])
+SQUARE = Curve("V3", [-4.0, -2.0, 2.5], [-3.0, -1.5, 2.0])
 TWO = {"schedule": ("r2", "load"), "span": ((0.011, 0.0264), (-1.0, 1.7))}
 
 
@@ -93,6 +96,8 @@ LAWS = {
     ),
     "slew alone, clamping": drawn(18, 1, 2, slew=(0.7, 1.1), anti_windup=Clamping()),
     "a reference model of a fixed law": drawn(19, 2, 2, bandwidth=(9.0, np.inf), Ka=[[[0.3, 0.0], [-0.2, 0.0]]]),
+    "curves over knots": drawn(20, 3, 2, KNOTS, 3, curves=(SQUARE, VALVE)),
+    "a curve, clamping, a reference model": drawn(21, 1, 2, anti_windup=Clamping(), curves=(VALVE,), bandwidth=(9.0, 4.0)),
     "no limits": drawn(13, 2, 3, low=(-np.inf,) * 2, high=(np.inf,) * 2, rate=(np.inf,) * 2),
 }
 

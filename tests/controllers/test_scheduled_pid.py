@@ -1,5 +1,6 @@
 """The PID law: its equation, linear theory, limits, bumps, and the compiled run."""
 
+import json
 from dataclasses import replace
 
 import control
@@ -9,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.export import export
+from controllers.files import load_controller, save_controller
 from controllers.pid import pid, standard_form
 from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID
 from plants import WEB_WINDING
 from workbench.basis import PiecewiseLinear, Powers
+from workbench.curves import Curve
 from workbench.data import Channel
 from workbench.errors import InputError
 from workbench.physics import stepper
@@ -356,6 +359,83 @@ def test_clamping_holds_the_integral_only_while_it_pushes_outward():
     assert z(after) == 3.0
 
 
+# ---- curves of actuators -------------------------------------------------------------------------------------------------
+
+VALVE = Curve("V2", [-3.0, -0.4, 0.3, 4.0], [-2.0, -0.1, 0.1, 5.0])
+SQUARE = Curve("V1", [-2.0, 0.0, 2.0], [-3.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("anti_windup", [BackCalculation(), Clamping()])
+@pytest.mark.parametrize("limits", [{}, {"low": (-0.6, -1.5), "high": (1.5, 1.1)}])
+def test_behind_its_curves_it_is_the_law_without(anti_windup, limits):
+    law, (r, y) = scheduled(anti_windup=anti_windup, **limits), signals(11)
+    rho = np.linspace(0.005, 0.035, len(r))
+    curved = replace(law, curves=(SQUARE, VALVE))
+    u, v = through(curved, r, y, rho), through(curved.inside, r, y, rho)
+    assert not curved.inside.curves
+    np.testing.assert_allclose(np.column_stack([VALVE(u[:, 0]), SQUARE(u[:, 1])]), v, atol=1e-10)
+    if limits:
+        assert (u == curved.high).any()
+        assert (u == curved.low).any()
+        np.testing.assert_allclose(curved.inside.high, [VALVE(np.array(1.5)), SQUARE(np.array(1.1))])
+
+
+def test_a_rate_holds_for_the_command_and_not_for_what_arrives():
+    curved, (r, y) = full(rate=(3.0, 2.0), low=(-3.0, -2.0), high=(4.0, 2.0)), signals(12)
+    curved = replace(curved, curves=(SQUARE, VALVE))
+    u = through(curved, r, y)
+    most = np.abs(np.diff(u, axis=0)).max(axis=0)
+    np.testing.assert_allclose(most, DT * np.array([3.0, 2.0]), rtol=1e-9)
+    np.testing.assert_allclose(curved.inside.rate, [3.0 * VALVE.slopes.min(), 2.0 * SQUARE.slopes.min()])
+
+
+def test_a_law_with_curves_takes_over_without_a_bump():
+    law, (r, y) = replace(full(), curves=(SQUARE, VALVE)), signals(6, 60)
+    r, y = r[:1].repeat(60, 0), y[:1].repeat(60, 0)
+    held = np.array([0.37, -1.2])
+    np.testing.assert_allclose(law.step(law.init(held), r[0], y[0])[0], held, atol=1e-13)
+    state = law.init()
+    for k in range(30):
+        state = law.follow(state, held, r[k], y[k])
+    np.testing.assert_allclose(law.step(state, r[29], y[29])[0], held, atol=1e-13)
+
+
+def test_a_file_with_curves_is_of_another_version(tmp_path):
+    law = replace(full(), curves=(SQUARE, VALVE))
+    again = load_controller(save_controller(law, tmp_path / "pid.json"))
+    assert json.loads((tmp_path / "pid.json").read_text())["version"] == 3
+    assert [(c.input, c.u.tolist(), c.v.tolist()) for c in again.curves] == [
+        (c.input, c.u.tolist(), c.v.tolist()) for c in law.curves
+    ]
+    np.testing.assert_array_equal(through(again, *signals(7)), through(law, *signals(7)))
+    law.export("csv", tmp_path)
+    assert (tmp_path / "curves.csv").read_text().splitlines()[:2] == ["command,u,v", "V1,-2.0,-3.0"]
+
+
+def test_a_law_and_an_actuator_with_its_curve_are_the_law_and_an_actuator_without():
+    """In compiled runs: x' = f(u) - x under the law of u, and x' = v - x under that of v."""
+
+    def plant(name, arrives):
+        return Plant(
+            name=name, description="", states=(Channel("x", ""),), inputs=(Channel("u", "", "input"),),
+            outputs=(Channel("x", "", "output"),), parameters=(), equation=lambda x, u, p, at: {"x": arrives(u.u) - x.x},
+            measure=lambda x, p: {"x": x.x}, dt=0.1, ports=(), start=Start(fixed={"x": 0.0}, solve_for=("u",), zero=("x",)),
+        )  # fmt: skip
+
+    def square(u):  # straight lines, in other words than the curve's
+        return np.maximum(2.0 * u, 0.5 * u)
+
+    curve = Curve("u", [-1.0, 0.0, 1.0], [-0.5, 0.0, 2.0])
+    law = replace(pid(("u",), ("x",), ("r",), 0.1, [[1.5]], [[0.8]], [[0.1]], Tf=0.3, low=(-2.0,), high=(1.2,)), curves=(curve,))
+    r = np.repeat([0.0, 2.0, -0.7, 0.3], 60)
+    curved = simulate(plant("curved", square), law, Scenario("steps", {"r": r})).experiment
+    straight = simulate(plant("straight", lambda u: u), law.inside, Scenario("steps", {"r": r})).experiment
+    np.testing.assert_allclose(curved["x"], straight["x"], atol=1e-9)
+    np.testing.assert_allclose(curve(curved["u"]), straight["u"], atol=1e-9)
+    assert (curved["u"] == 1.2).any()
+    assert np.abs(curved["x"] - curved["u"]).max() > 0.5
+
+
 # ---- in the compiled step ---------------------------------------------------------------------------------------------------
 
 
@@ -421,6 +501,10 @@ def test_it_writes_itself_for_other_programs(tmp_path):
 
 
 def test_bad_laws_are_refused():
+    with pytest.raises(InputError, match="unknown actuated channel 'V3'"):
+        replace(full(), curves=(Curve("V3", [0.0, 1.0], [0.0, 1.0]),))
+    with pytest.raises(InputError, match="does not rise everywhere"):
+        replace(full(), curves=(Curve("V1", [0.0, 1.0, 2.0], [0.0, 1.0, 0.5]),))
     with pytest.raises(RecordError, match=r"Ki: a hole \(not a number\) at \[0, 0, 1\]"):
         pid(*NAMES, DT, KP, np.array([[0.1, np.nan], [0.0, 0.1]]))
     with pytest.raises(InputError, match="V1: lower limit 2 is not below the upper 1"):

@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from tests.controllers.test_mpc import lpv
 from tests.workbench.intervals.test_model import METHODS as INTERVALS
 from tests.workbench.intervals.test_model import plant as interval_records
 from tests.workbench.robustness.test_verdict import drawn_loop
+from workbench.curves import Curve
 from workbench.data import Dataset
 from workbench.errors import InputError
-from workbench.hammerstein import Curve, HammersteinWienerModel, load_hammerstein
+from workbench.hammerstein import HammersteinWienerModel, load_hammerstein
 from workbench.intervals.model import IntervalModel, load_interval_model
 from workbench.lpv import load_model
 from workbench.physics.extension import extension, load_extension
@@ -118,6 +120,7 @@ def targets(folder: Path) -> dict[str, Target]:
     """By name; folder: room to write the whole files in."""
     robot = PLANTS["welding-robot"]
     law = pid(("u",), ("v",), ("v_set",), 0.02, Kp=[[6.0]], Ki=[[8.0]], low=(-4.0,), high=(4.0,))
+    curved = replace(law, curves=(Curve("u", [-4.0, 0.0, 4.0], [-2.0, 0.0, 6.0]),))
     scenario = Manoeuvre(0.2, {"v": ((0.0, 0.4),)}, seed=3).scenario(robot, law)
     worst = worst_plant(Search(robot, law, scenario, [Limit("v", high=0.01)], tolerance_box(robot)[:2], runs=4, seed=1))
     lost = worst.counterexample("welding-robot", {"schema": "x"})
@@ -148,7 +151,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "model": Target(load_model, ".json", _saved(lpv().save, folder)),
         "hammerstein": Target(load_hammerstein, ".json", _saved(_curved().save, folder)),
         "interval": Target(load_interval_model, ".json", _saved(_interval().save, folder)),
-        "pid": Target(law_of, ".json", _saved(lambda path: save_controller(law, path), folder)),
+        "pid": Target(law_of, ".json", _saved(lambda path: save_controller(curved, path), folder)),
         "mpc": Target(law_of, ".json", _saved(lambda path: save_controller(mpc_law(), path), folder)),
         "extension": Target(
             load_extension, ".json",

@@ -7,9 +7,10 @@ import numpy as np
 
 from workbench.answers.envelopes import covered_verdict, envelope_sections
 from workbench.answers.scored import ScoredModel
+from workbench.curves import Curve
 from workbench.data import Experiment
 from workbench.errors import InputError
-from workbench.hammerstein import Curve, HammersteinWienerModel, Model
+from workbench.hammerstein import HammersteinWienerModel, Model
 from workbench.intervals.model import IntervalModel
 from workbench.metrics import Score
 from workbench.report import figures

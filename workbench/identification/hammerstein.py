@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from workbench.curves import Curve
 from workbench.data import Dataset, Experiment
 from workbench.errors import InputError, check_known
-from workbench.hammerstein import Curve, HammersteinWienerModel, with_curves, with_signs
+from workbench.hammerstein import HammersteinWienerModel, with_curves, with_signs
 from workbench.identification.lti import LTI
 from workbench.identification.output_error.refine import affordable, noise_of, refined
 from workbench.identification.schedules import schedules_of

@@ -9,9 +9,10 @@ from scipy.signal import lfilter
 
 import workbench as wb
 from studies.cli import main
+from workbench.curves import Curve
 from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
-from workbench.hammerstein import Curve, HammersteinWienerModel, load_hammerstein
+from workbench.hammerstein import HammersteinWienerModel, load_hammerstein
 from workbench.identification.signs import lost_signs, may_lack_signs
 from workbench.metrics import fit, score
 
