@@ -9,15 +9,18 @@ Before it is handed out the controller runs its loop once, on the plant where on
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.pid_design import OBJECTIVES, PIDDesign, Structure, design_pid
-from controllers.scheduled_pid import ScheduledPID
+from controllers.scheduled_pid import ScheduledPID, let_through
+from workbench.curves import Curve
 from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError, check_known
+from workbench.hammerstein import HammersteinWienerModel, Model, core_of, inverted
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -98,33 +101,48 @@ class ScheduledPIDDesign:
                 if not value > 0.0:
                     raise InputError(f"{key} {value:g}", channel=name, mend=f"{unit} above 0, inf for none")
 
-    def design(self, model: LPVModel, progress: Say = lambda _: None) -> PIDDesign:
+    def design(self, model: Model, progress: Say = lambda _: None) -> PIDDesign:
         """The controller with its margins at every schedule value, before any reference model; see `calmed`.
 
-        Raises InputError where none keeps the bounds.
+        Of a Hammerstein-Wiener model it inverts the curves, within what the records have shown of them where no limit says
+        otherwise; everything else is of v, sizes of loads too. Raises InputError where none keeps the bounds.
         """
         _check_model(model)
-        limits = command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model)
+        curves, model = inverted(model), core_of(model)
+        if curves and self.robust_to:
+            mend = "leave it out, or design on the LPV models behind the curves: .core"
+            raise InputError("robust_to beside a model with curves: which would the law invert?", file=model.name, mend=mend)
+        commands = self._limits(model, curves)
+        limits = dict(zip(commands, let_through(curves, [c.name for c in model.inputs], **commands), strict=True))
         self._shaping(model)  # refuses outputs that the model does not have before any work
         structure = Structure(
             derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
         )  # fmt: skip
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
-        return design_pid(
+        found = design_pid(
             model, knots=self.knots, bounds=bounds, structure=structure, setpoint=setpoint_of(self.setpoint, model),
             robust_to=self.robust_to, objective=self.objective, load_every=self.load_every, say=progress,
             load=by_channel("input", self.load, model.inputs, model.name, np.nan),
             scale=by_channel("output", self.size, model.outputs, model.name, np.nan),
         )  # fmt: skip
+        return replace(found, law=replace(found.law, curves=curves, **commands)) if curves else found
 
-    def on(self, model: LPVModel, plant: Plant | None = None, *, accept: bool = False) -> ScheduledPID:
+    def _limits(self, model: LPVModel, curves: Sequence[Curve]) -> dict[str, np.ndarray]:
+        """low, high and rate (nu,) of the commands as given; else none, but the ends of a curve."""
+        own, none = {c.input: c.u for c in curves}, np.array([-np.inf, np.inf])
+        low, high = np.transpose([own.get(c.name, none)[[0, -1]] for c in model.inputs])
+        usual = {"low": low, "high": high, "rate": np.full(len(low), np.inf)}
+        given = command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model, SimpleNamespace(**usual))
+        return {key: usual[key] if value is None else value for key, value in given.items()}
+
+    def on(self, model: Model, plant: Plant | None = None, *, accept: bool = False) -> ScheduledPID:
         """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
         and nobody accepts it all the same.
         """
         found, trial = self.calmed(self.design(model), model, plant)
         return _handed_out(found.law, trial, accept)
 
-    def calmed(self, found: PIDDesign, model: LPVModel, plant: Plant | None = None) -> tuple[PIDDesign, Trial]:
+    def calmed(self, found: PIDDesign, model: Model, plant: Plant | None = None) -> tuple[PIDDesign, Trial]:
         """The design with reference models, and one run of it: of those with which no step of a set-point overshoots by more than
         OVERSHOOT the ones after which all outputs settle soonest, of like ones the calmest. What is said of them stays.
 
@@ -132,19 +150,20 @@ class ScheduledPIDDesign:
         Where the run overshoots nevertheless, with limits and a moving schedule, slower ones are tried; none is so slow that a
         run could not wait for it.
         """
-        usual, (given, slew) = setpoint_of(self.setpoint, model), self._shaping(model)
-        free, slew = np.isnan(given), np.where(np.isnan(slew), _sustained(found, model, usual), slew)
+        core = core_of(model)
+        usual, (given, slew) = setpoint_of(self.setpoint, core), self._shaping(core)
+        free, slew = np.isnan(given), np.where(np.isnan(slew), _sustained(found, core, usual), slew)
 
         def run(bandwidth: np.ndarray) -> tuple[PIDDesign, Trial]:
             own = replace(found, law=found.following(bandwidth, slew))
             return own, tried(own.law, model, plant, usual)
 
-        bandwidth = np.where(free, self._settling_soonest(found, model, given) if free.any() else given, given)
+        bandwidth = np.where(free, self._settling_soonest(found, core, given) if free.any() else given, given)
         runs = [run(bandwidth)]
         while len(runs) < SLOWER and free.any() and _overshoots(runs[-1][1]).any():
             late = free & (_overshoots(runs[-1][1]) | bool(runs[-1][1].lost))
-            slower = np.where(late, np.maximum(0.5 * np.minimum(bandwidth * model.dt, 1.0), SLOWEST) / model.dt, bandwidth)
-            if np.any(model.D) or np.array_equal(slower, bandwidth):
+            slower = np.where(late, np.maximum(0.5 * np.minimum(bandwidth * core.dt, 1.0), SLOWEST) / core.dt, bandwidth)
+            if np.any(core.D) or np.array_equal(slower, bandwidth):
                 break
             bandwidth = slower
             runs.append(run(bandwidth))
@@ -175,7 +194,7 @@ def _sustained(found: PIDDesign, model: LPVModel, usual: Sequence[float] | None)
     """Slews (ny,): on a model that integrates, of an output that goes on as long as a command does, what SUSTAINED of the limits
     keeps up from the usual set-point; infinite on others.
     """
-    law, slews = found.law, []
+    law, slews = found.law.inside, []
     if not model.free:
         return np.full(len(model.outputs), np.inf)
     for rho, Ka in zip(found.knots, found.Ka, strict=True):
@@ -257,6 +276,9 @@ class MPCDesign:
         """The controller, after one run of its loop on `plant`, or on the model. Raises NotHandedOutError where it is lost there
         and nobody accepts it all the same.
         """
+        if isinstance(model, HammersteinWienerModel):
+            mend = "design a PID on it, or identify with --model lti or ssm"
+            raise InputError("an MPC does not invert the curves of a Hammerstein-Wiener model", file=model.name, mend=mend)
         _check_model(model)
         fallback = self.fallback
         if fallback is None:
@@ -272,11 +294,11 @@ class MPCDesign:
 
 
 def _check_model(model: Any) -> None:
-    if not isinstance(model, LPVModel):
+    if not isinstance(model, Model):
         raise InputError(f"a {type(model).__name__}, expected an LPV model", mend="wb.identify(data).model, wb.load_model(FILE)")
 
 
-def command_limits(given: Mapping[str, Numbers], model: LPVModel, fallback: ScheduledPID | None = None) -> dict[str, Any]:
+def command_limits(given: Mapping[str, Numbers], model: LPVModel, fallback: Any = None) -> dict[str, Any]:
     """low, high and rate (nu,) as given, the rest those of the fallback law, else none; None where nothing is given.
 
     Raises InputError for inputs that the model does not have, and for a rate that is not above 0.

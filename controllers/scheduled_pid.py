@@ -188,11 +188,7 @@ class ScheduledPID:
         """
         if not self.curves:
             return self
-        own = {c.input: c for c in self.curves}
-        low, high = (
-            [own[a](u) if a in own else u for a, u in zip(self.actuated, ends, strict=True)] for ends in (self.low, self.high)
-        )
-        rate = [own[a].slopes.min() * r if a in own else r for a, r in zip(self.actuated, self.rate, strict=True)]
+        low, high, rate = let_through(self.curves, self.actuated, self.low, self.high, self.rate)
         return replace(self, low=low, high=high, rate=rate, curves=())
 
     def slewed(self, references: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -532,6 +528,17 @@ class _Aim(NamedTuple):
 def _near(last: Any, reach: Any, value: Any) -> Any:
     """The value, no further than `reach` from the last one."""
     return np.maximum(last - reach, np.minimum(last + reach, value))
+
+
+def let_through(
+    curves: Sequence[Curve], channels: Sequence[str], low: np.ndarray, high: np.ndarray, rate: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits (n,) of v behind curves, of a rate what is left of it where the curve is flattest."""
+    low, high, rate = (np.array(own, dtype=float) for own in (low, high, rate))
+    for curve in curves:
+        i = list(channels).index(curve.input)
+        low[i], high[i], rate[i] = curve(low[i]), curve(high[i]), curve.slopes.min() * rate[i]
+    return low, high, rate
 
 
 def check_limits(law: str, channels: Sequence[str], lows: np.ndarray, highs: np.ndarray) -> None:

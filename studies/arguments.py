@@ -14,9 +14,10 @@ from studies import PACKAGES
 from workbench.data import Dataset, check_held_out
 from workbench.errors import InputError, check_known
 from workbench.files import read_json
+from workbench.hammerstein import SCHEMA as CURVED_MODEL
+from workbench.hammerstein import load_either
 from workbench.intervals.model import SCHEMA as INTERVAL_MODEL
 from workbench.lpv import SCHEMA as MODEL
-from workbench.lpv import load_model
 from workbench.physics.controller import check_controller
 from workbench.physics.extension import load_extension
 from workbench.physics.identified import identified
@@ -124,7 +125,7 @@ def _is_model(text: str) -> bool:
     if not text.endswith(".json") or not Path(text).is_file():
         return False
     content = read_json(text)
-    return isinstance(content, dict) and content.get("schema") in (MODEL, INTERVAL_MODEL)
+    return isinstance(content, dict) and content.get("schema") in (MODEL, CURVED_MODEL, INTERVAL_MODEL)
 
 
 def _base_plant(text: str) -> Plant:
@@ -135,7 +136,7 @@ def _base_plant(text: str) -> Plant:
                 file=text,
                 mend="give a state-space model: workbench identify --model lti, ilm or ssm",
             )
-        return identified(load_model(text))
+        return identified(load_either(text))
     if ":" not in text and not text.endswith(".py"):
         return PLANTS[check_known("plant", text, PLANTS)]
     return _named(text, "plant", lambda value: isinstance(value, Plant))

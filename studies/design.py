@@ -14,7 +14,7 @@ from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pictures import POINTS, design_pictures
 from controllers.pid_design import PIDDesign
 from controllers.scheduled_pid import ScheduledPID
-from controllers.tables import gain_csv
+from controllers.tables import curve_csv, gain_csv
 from controllers.tube import taken
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
 from studies.cli import DONE
@@ -23,6 +23,7 @@ from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.files import nullable, write_json, write_text
+from workbench.hammerstein import Model, core_of, curves_of, load_either
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
@@ -41,30 +42,32 @@ KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 def design(options: Namespace, say: Say, progress: Say) -> int:
     """Design the law that was asked for and write its files."""
     kind = check_known("controller", options.kind, KINDS)
-    model = load_model(options.model)
+    model = load_either(options.model)
     if kind != "mpc" and options.tube:
         raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
     if kind in ("mpc", "nmpc"):
-        return _design_planning(options, kind, model, say, progress)
+        return _design_planning(options, kind, load_model(options.model), say, progress)
     return _design_pid(options, kind, model, say, progress)
 
 
-def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
+def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
-    chosen = choose_plant(options.plant) if options.plant else None
+    chosen, model = choose_plant(options.plant) if options.plant else None, core_of(whole)
     wanted = _wanted(options, kind, model)
-    found = wanted.design(model, progress)
+    found = wanted.design(whole, progress)
     progress("one run of the loop")
-    found, trial = wanted.calmed(found, model, chosen.plant if chosen else None)
+    found, trial = wanted.calmed(found, whole, chosen.plant if chosen else None)
     code = _told(options, trial, model, say)
     bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]
     folder = run_folder(options.out, "design")
     path = save_controller(found.law, folder / f"{kind}.json") if code == DONE else None
     if path:
         write_text(folder / "gains.csv", gain_csv(found.law))
-    over = found.margins
+        if found.law.curves:
+            write_text(folder / "curves.csv", curve_csv(found.law))
+    over, inner = found.margins, found.law.inside
     if kind == "pid" and model.schedules:
-        over = worst_margins(found.law, models, model.frozen_values(POINTS), bounds, found.scale)
+        over = worst_margins(inner, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
     moved = _deviations_said(found, model)
@@ -72,13 +75,15 @@ def _design_pid(options: Namespace, kind: str, model: LPVModel, say: Say, progre
         say(sentence)
     if said := _setpoints_said(found.law, model, wanted, trial):
         say(said)
+    for sentence in _curves_said(found.law, whole):
+        say(sentence)
     _say_limits(found.law, model, say)
     _say_held(found.law, model, _setpoint(options.setpoint, model), say)
     if path:
         say(f"controller -> {path}")
-        say(f"gain table -> {folder / 'gains.csv'}")
+        say(f"gain table -> {folder / 'gains.csv'}{', curves -> curves.csv' if found.law.curves else ''}")
     say(f"margins -> {folder / 'margins.csv'}")
-    pictures = design_pictures({kind: found.law}, models, bounds, found.scale)
+    pictures = design_pictures({kind: inner}, models, bounds, found.scale)
     title = f"{kind} on {model.name}"
     page = Report(
         title, " ".join(map(ended, (trial.sentence, _worst_said(found, over, model), *moved))), (Section("Design", pictures),)
@@ -255,6 +260,23 @@ def _setpoints_said(law: ScheduledPID, model: LPVModel, wanted: ScheduledPIDDesi
     return "; ".join(said)
 
 
+def _curves_said(law: ScheduledPID, model: Model) -> list[str]:
+    """Which curves the law inverts, and where an inverse is steep."""
+    found, said = {c.input: c for c in curves_of(model)}, []
+    for curve in law.curves:
+        unit, own = law.unit(curve.input), found[curve.input]
+        known = f"known from {curve.u[0]:.4g} to {curve.u[-1]:.4g} {unit}".rstrip()
+        said.append(f"{curve.input} through the inverse of its curve, {known}: gains and margins are of what arrives")
+        at = law.actuated.index(curve.input)
+        if law.low[at] < curve.u[0] or law.high[at] > curve.u[-1]:
+            said.append(f"note: {curve.input} may go where the records have not shown its curve: it goes on as a straight line")
+        if not np.array_equal(curve.v, own.v):
+            still = own.u[:-1][curve.slopes != own.slopes]
+            where = f"about {curve.input} = {still.mean():.3g} {unit}".rstrip()
+            said.append(f"note: the curve stands still {where}: its inverse is steep there, the loop weaker than margins say")
+    return said
+
+
 def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | None, say: Say) -> None:
     """What holds the set-point over the schedule by the model, and whether the limits let it."""
     if setpoint is None:
@@ -265,7 +287,9 @@ def _say_held(law: ScheduledPID, model: LPVModel, setpoint: Sequence[float] | No
         phi = model.operating_point.basis(np.array(0.0 if rho is None else rho))
         u.append(phi @ model.operating_point.u + rests(A, B, C, D)[1] @ (setpoint - phi @ model.operating_point.y))
     over = f" over {', '.join(c.name for c in model.schedules)}" if model.schedules else ""
+    curves = {curve.input: curve for curve in law.curves}
     for c, each, low, high in zip(model.inputs, np.transpose(u), law.low, law.high, strict=True):
+        each = curves[c.name].inverse(each) if c.name in curves else each
         say(f"  the set-point takes {c.name} from {each.min():.4g} to {each.max():.4g} {c.unit}{over}")
         if each.min() < low or each.max() > high:
             say(f"warning: {c.name}: its limits, {low:g} to {high:g} {c.unit}, do not let it hold this set-point everywhere")

@@ -1,6 +1,5 @@
 """Static curves of actuators: what arrives at a machine, v = f(u), straight lines between nodes."""
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -67,6 +66,13 @@ class Curve:
         """The u with f(u) = v. Raises InputError for a curve that does not rise everywhere."""
         return self.back(v)
 
+    def nearest(self, v: float) -> float:
+        """A u whose f(u) is nearest to v, between the first and the last node; the lowest of several."""
+        reached = np.clip(v, np.minimum(self.v[:-1], self.v[1:]), np.maximum(self.v[:-1], self.v[1:]))  # by each line
+        i = int(np.abs(reached - v).argmin())
+        rise = self.v[i + 1] - self.v[i]
+        return float(self.u[i] + ((reached[i] - self.v[i]) / rise if rise else 0.0) * (self.u[i + 1] - self.u[i]))
+
     @property
     def invertible(self) -> "Curve":
         """min sum_i (w_i - v_i)^2 over curves (u, w) whose slope is FLATTEST of the mean one at least: itself where it is.
@@ -97,7 +103,7 @@ class Curve:
         return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
 
 
-def bent(u: Any, bends: Sequence[Any]) -> Any:
+def bent(u: Any, bends: Any) -> Any:
     """f(u) by the `bends` of a curve, on numbers, arrays or symbols."""
     v = bends[1] + bends[2] * (u - bends[0])
     for node, change in zip(bends[3::2], bends[4::2], strict=True):

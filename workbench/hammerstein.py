@@ -17,7 +17,7 @@ from workbench.curves import Curve
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
-from workbench.lpv import LPVModel, model_from_dict
+from workbench.lpv import LPVModel, load_model, model_from_dict
 from workbench.records import field, record
 
 if TYPE_CHECKING:
@@ -199,6 +199,52 @@ class HammersteinWienerModel:
 Model = LPVModel | HammersteinWienerModel
 
 
+def core_of(model: Model) -> LPVModel:
+    """What a loop sees of a model behind its curves; of an LPV model itself. Raises InputError for sensors without a sign."""
+    if isinstance(model, LPVModel):
+        return model
+    if model.unsigned:
+        mend = "give the loop a sensor that tells the direction"
+        raise InputError(f"{', '.join(model.unsigned)} shows no sign: no loop is closed over it", file=model.name, mend=mend)
+    return replace(model.core, name=f"{model.name} behind its curves") if model.curves else model.core
+
+
+def curves_of(model: Model) -> tuple[Curve, ...]:
+    """The curves of a model; none of an LPV model."""
+    return () if isinstance(model, LPVModel) else model.curves
+
+
+def inverted(model: Model) -> tuple[Curve, ...]:
+    """The curves that a law inverts on a model; see `Curve.invertible`."""
+    try:
+        return tuple(curve.invertible for curve in curves_of(model))
+    except InputError as reason:
+        raise InputError(reason.problem, file=model.name, channel=reason.channel, mend=reason.mend) from None
+
+
+def behind(law: Any, model: Model) -> tuple[Any, LPVModel]:
+    """The law of v and the core of the model: the loop of both, as it is behind the curves.
+
+    Raises InputError where the law does not invert the curves of the model, and no others.
+    """
+    core, known = core_of(model), {curve.input: curve for curve in inverted(model)}
+    own = {curve.input: curve for curve in getattr(law, "curves", ())}
+    for name in dict.fromkeys([*known, *own]):
+        if name not in own:
+            mend = "design a PID on this model: it inverts the curve"
+            raise InputError(f"{law.name} knows nothing of the curve of {name}", file=model.name, channel=name, mend=mend)
+        if name not in known or not _same(own[name], known[name]):
+            mend = "give the model that it was designed on"
+            raise InputError(
+                f"{law.name} inverts another curve of {name} than the model has", file=model.name, channel=name, mend=mend
+            )
+    return (law.inside, core) if own else (law, core)
+
+
+def _same(one: Curve, other: Curve) -> bool:
+    return len(one.u) == len(other.u) and all(np.allclose(getattr(one, k), getattr(other, k), rtol=1e-9) for k in ("u", "v"))
+
+
 def with_curves(experiment: Experiment, curves: Iterable[Curve]) -> Experiment:
     """The record with v in place of u for the inputs of these curves."""
     values = experiment.values.copy()
@@ -213,6 +259,13 @@ def with_signs(experiment: Experiment, unsigned: Sequence[str], signs: np.ndarra
     own = [experiment.names.index(name) for name in unsigned]
     values[:, own] = np.abs(values[:, own]) * signs
     return replace(experiment, values=values)
+
+
+def load_either(path) -> Model:
+    """The Hammerstein-Wiener model of a file that holds one, else its LPV model. Raises InputError for a file that is neither."""
+    content = read_json(path)
+    curved = isinstance(content, dict) and content.get("schema") == SCHEMA
+    return load_hammerstein(path) if curved else load_model(path)
 
 
 def load_hammerstein(path) -> HammersteinWienerModel:

@@ -32,8 +32,8 @@ SCHEMA = "gain-scheduling-workbench/lpv-model"
 VERSION = 1
 OTHERS: dict[str, str] = {  # models of other kinds, which this reader is given by mistake
     "interval-model": "read it with load_interval_model",
-    "gain-scheduling-workbench/hammerstein-wiener-model": "it is a Hammerstein-Wiener model, which this does not take: "
-    "identify with --model lti or ssm; in Python load_hammerstein(..).core is the LPV model behind its curves",
+    "gain-scheduling-workbench/hammerstein-wiener-model": "it is a Hammerstein-Wiener model, which only a PID "
+    "takes: identify with --model lti or ssm; in Python load_hammerstein(..).core is the LPV model behind its curves",
 }
 MUCH = 0.02  # widths of a schedule range, by which a record may leave it unsaid
 FORGOTTEN = 0.01  # of a start: what is left of it counts as nothing

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from workbench.curves import Curve
 from workbench.data import SAME_DT, Channel, Experiment
 from workbench.errors import InputError, check_known
+from workbench.hammerstein import Model, behind, curves_of
 from workbench.lpv import LPVModel, check_no_feedthrough, check_schedule_from_outside
 from workbench.physics.controller import schedules_of, stepped
 from workbench.records import field, record
@@ -29,7 +31,7 @@ NO_WORSE = 1.01  # ratio of costs up to which a calmer candidate is taken
 class Rehearsal:
     """Set-points (N, ny) in the model's units along a schedule, noise e (N, ny), and what counts as 1 in each output.
 
-    rho (N,), of several schedule variables (N, ns).
+    rho (N,), of several schedule variables (N, ns). curves: what arrives of inputs, in place of u in the equation.
     follows: the output that the schedule is; then of `rho` only the first value counts, where the run begins.
     """
 
@@ -39,6 +41,7 @@ class Rehearsal:
     e: np.ndarray = field("N ny")
     size: np.ndarray = field("ny")
     follows: int | None = None
+    curves: tuple[Curve, ...] = ()
 
     def run(self, law: Any) -> tuple[np.ndarray, np.ndarray]:
         """Commands (N, nu) and measured outputs (N, ny) under the law, from rest at the first set-point; in the model's order.
@@ -58,6 +61,9 @@ class Rehearsal:
         off = (self.references[0] - y0[0])[at_y]
         x, commands, y = X @ off, u0.copy(), np.empty_like(self.references)
         commands[:, at_u] += U @ off  # an input that the law does not command stays at the operating point
+        curves = [([c.name for c in model.inputs].index(curve.input), curve) for curve in self.curves]
+        for i, curve in curves:
+            commands[:, i] = [curve.nearest(v) for v in commands[:, i]]
         state = law.init(commands[0, at_u])
         schedule, longest = self.rho.copy(), max(term.delay for term in model.terms)
         for k, r in enumerate(self.references):
@@ -73,7 +79,10 @@ class Rehearsal:
             A, B, K_k = (np.tensordot(weights[k], M, 1) for M in (model.A, model.B, K))
             rho = schedule[k] if law.schedule else None
             commands[k, at_u], state = stepped(law, state, r[at_y][: len(law.references)], y[k, at_y], rho)
-            x = A @ x + B @ (commands[k] - u0[k]) + K_k @ self.e[k]
+            acting = commands[k].copy()
+            for i, curve in curves:
+                acting[i] = curve(acting[i])
+            x = A @ x + B @ (acting - u0[k]) + K_k @ self.e[k]
         return commands, y
 
     def cost(self, law: Any) -> float:
@@ -110,13 +119,14 @@ def check_setpoint(law: Any, setpoint: Mapping[str, float]) -> None:
         raise InputError(f"no set-point for {', '.join(missing)}", mend="give --setpoint for every output that the law controls")
 
 
-def hold(model: LPVModel, law: Any, setpoint: Mapping[str, float], samples: int, seed: int | None) -> Experiment:
+def hold(model: Model, law: Any, setpoint: Mapping[str, float], samples: int, seed: int | None) -> Experiment:
     """A record of the law holding set-points on the model, once along its whole schedule; seed None: without noise."""
     check_setpoint(law, setpoint)
+    (_, model), curves = behind(law, model), curves_of(model)
     r = [setpoint.get(c.name, 0.0) for c in model.outputs]  # what the law does not measure has none
     whole = rehearsal(model, r, np.zeros(len(r)), samples, seed or 0)
     whole = whole if seed is not None else replace(whole, e=np.zeros_like(whole.e))
-    u, y = whole.run(law)
+    u, y = replace(whole, curves=curves).run(law)
     schedule = tuple(replace(c, role="schedule") for c in model.schedules)
     at = _places(law, law.measured[: len(law.references)], model.outputs)
     units = [model.outputs[i].unit for i in at]

@@ -8,7 +8,7 @@ from workbench.answers.check import CHECK_FILE, check
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import write_bytes
-from workbench.lpv import load_model
+from workbench.hammerstein import load_either
 from workbench.provenance import provenance
 from workbench.readers import read_file
 from workbench.robustness.limits import load_limits
@@ -30,7 +30,7 @@ def run(options: Namespace) -> int:
     chosen = choose_plant(options.plant) if options.plant else None
     controller = choose_controller(options.controller, chosen.base if chosen else "")
     found = check(
-        controller.law, limits, model=load_model(options.model) if options.model else None,
+        controller.law, limits, model=load_either(options.model) if options.model else None,
         records=Dataset(tuple(read_file(path) for path in options.records)) if options.records else None,
         plant=chosen.plant if chosen else None, fitted=options.fitted, lags=options.lags,
         bound=numbers(options.bound, "--bound"), nodes=options.nodes, rate=options.rate, runs=options.runs, seed=options.seed,

@@ -14,12 +14,10 @@ from workbench.answers.objections import refereed
 from workbench.answers.scored import ScoredModel, scores_file
 from workbench.errors import InputError
 from workbench.files import read_json, write_json
-from workbench.hammerstein import SCHEMA as CURVED
-from workbench.hammerstein import load_hammerstein
+from workbench.hammerstein import load_either
 from workbench.intervals.coverage import cover
 from workbench.intervals.model import SCHEMA as INTERVAL
 from workbench.intervals.model import IntervalModel, load_interval_model
-from workbench.lpv import load_model
 from workbench.provenance import provenance
 from workbench.report.page import write_report
 from workbench.residuals import residual_test
@@ -82,6 +80,5 @@ def _load_models(paths: list[str]) -> list:
             raise InputError("is named twice", file=path, mend="name each model once")
     paths[:] = [path for path in paths if Path(path).name != "scores.json" or len(paths) == 1]
     content = [read_json(path) for path in paths]
-    readers = {INTERVAL: load_interval_model, CURVED: load_hammerstein}
-    kinds = [str(c.get("schema")) if isinstance(c, dict) else "" for c in content]
-    return [readers.get(kind, load_model)(path) for path, kind in zip(paths, kinds, strict=True)]
+    kinds = [c.get("schema") if isinstance(c, dict) else "" for c in content]
+    return [(load_interval_model if kind == INTERVAL else load_either)(path) for path, kind in zip(paths, kinds, strict=True)]

@@ -243,14 +243,14 @@ def _at_setpoint(options: Namespace, setup: Setup) -> Any:
 
 def _on_model(options: Namespace, setup: Setup) -> Any:
     """Constant set-points for an identified model, whose schedule runs once along its whole range."""
-    from workbench.lpv import load_model
+    from workbench.hammerstein import load_either
     from workbench.rehearsal import hold
 
     setpoint, samples = _setpoint(options, setup)
     if setup.effects or setup.parameters or setup.start:
         raise InputError("a loop on an identified model has no --effect, --parameter and --start", mend="leave them out")
     seed = None if options.noise_free else options.seed
-    record = hold(load_model(str(setup.chosen.model)), setup.law, setpoint, samples, seed)
+    record = hold(load_either(str(setup.chosen.model)), setup.law, setpoint, samples, seed)
     return SimpleNamespace(experiment=record, states=None, substeps=1, memories=())
 
 

@@ -47,6 +47,15 @@ def test_back_and_forth(seed):
     np.testing.assert_allclose(curve.inverse(curve(u)), u, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("v", [[-1.0, 0.0, 0.0, 1.0], [1.0, -1.0, 2.0, 0.5], [0.0, 0.0, 0.0, 0.0], [3.0, 2.0, 1.0, 0.0]])
+def test_the_nearest_command_reaches_what_any_does(v):
+    curve, u = Curve("u", [-2.0, -1.0, 1.0, 2.0], v), np.linspace(-2.0, 2.0, 4001)
+    for wanted in np.linspace(-2.0, 4.0, 31):
+        own = curve.nearest(float(wanted))
+        assert -2.0 <= own <= 2.0
+        assert abs(curve(np.array(own)) - wanted) <= np.abs(curve(u) - wanted).min() + 1e-9
+
+
 def test_what_stands_in_for_a_dead_zone_is_the_nearest_curve_that_is_steep_enough():
     near = DEAD.invertible
     rise = FLATTEST * 2.0 / 4.0

@@ -18,9 +18,10 @@ from workbench.answers.answer import Answer, Records, as_dataset
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
+from workbench.hammerstein import Model, behind
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
-from workbench.lpv import LPVModel, check_schedule_from_outside
+from workbench.lpv import check_schedule_from_outside
 from workbench.physics.controller import check_controller
 from workbench.physics.plant import Plant
 from workbench.progress import Progress, silent
@@ -32,7 +33,8 @@ from workbench.robustness.falsify.box import fitted_box, fitted_box_of
 from workbench.robustness.limits import LoopLimits, limits_of, load_limits
 from workbench.robustness.linear_law import check_law, without_linear_form
 from workbench.robustness.verdict import Status, Verdict, overall
-from workbench.verification.model import claimed, on_model, opened
+from workbench.verification.curved import as_arriving
+from workbench.verification.model import TITLE, claimed, on_model, opened
 from workbench.verification.part import FROZEN, Part
 from workbench.verification.plant import check_asked, on_plant
 from workbench.verification.trial import Trial, along
@@ -45,7 +47,7 @@ Fitted = Mapping[str, Any] | Answer | str | Path
 
 
 def check(
-    controller: Any, limits: Limits, *, model: LPVModel | None = None, records: Dataset | None = None,
+    controller: Any, limits: Limits, *, model: Model | None = None, records: Dataset | None = None,
     plant: Plant | None = None, fitted: Sequence[Fitted] = (), lags: int = 1, bound: Sequence[float] | None = None,
     nodes: int | None = None, rate: float | None = None, runs: int | None = None, seed: int = 0,
     progress: Progress = silent,
@@ -71,28 +73,34 @@ def check(
         raise InputError("model and records go together", mend="the records say what the model leaves open")
     if fitted and plant is None:
         raise InputError("fitted intervals are for a search on the plant", mend="give plant= as well")
-    for name, given, kind in (("model", model, LPVModel), ("plant", plant, Plant)):
+    for name, given, kind in (("model", model, Model), ("plant", plant, Plant)):
         if given is not None and not isinstance(given, kind):
             told = f"{name}: {type(given).__name__} {given!r}"[:80]
-            raise InputError(f"{told}, expected {kind.__name__}", mend="wb.identify(..).model, wb.diagnose(..).plant")
+            expected = f"expected {'a plant' if kind is Plant else 'an LPV or Hammerstein-Wiener model'}"
+            raise InputError(f"{told}, {expected}", mend="wb.identify(..).model, wb.diagnose(..).plant")
     if model is not None:
-        check_schedule_from_outside(model, "check")
+        check_schedule_from_outside(behind(controller, model)[1], "check")
     for name, count in (("lags", lags), ("nodes", nodes), ("runs", runs)):
         if count is not None and not (isinstance(count, int) and count >= 1):
             raise InputError(f"{name} = {count!r}", mend="expected a whole number from 1 on")
     if rate is not None and not 0.0 < rate < math.inf:
         raise InputError(f"rate = {rate:g}", mend="how fast the schedule moves, in its units per second: a number above 0")
     dataset = None if records is None else as_dataset(records)
-    left = None
+    left = loop = None
     if model is not None and dataset is not None:
-        left = opened(ErrorRegression(lags, None if bound is None else list(bound)), model, dataset)
-        if not without_linear_form(controller):
-            check_law(model, controller)
+        loop = as_arriving(controller, model, dataset, asked)
+        left = opened(ErrorRegression(lags, None if bound is None else list(bound)), loop.model, loop.records)
+        if not without_linear_form(loop.law):
+            check_law(loop.model, loop.law)
     progress("one run of the loop")
     trial = _tried(controller, asked, model, plant)
     parts = []
-    if left is not None:
-        parts.append(on_model(left, controller, asked, plant, nodes=nodes, rate=rate, progress=progress))
+    if left is not None and loop is not None:
+        part = Part(TITLE, ())
+        if loop.limits is not None:
+            run = plant if loop.law is controller else None  # a law of what arrives does not run on a plant
+            part = on_model(left, loop.law, loop.limits, run, nodes=nodes, rate=rate, progress=progress)
+        parts.append(replace(part, verdicts=(*part.verdicts, *loop.unsaid)))
     elif plant is not None and any((asked.stable, asked.margin, asked.sensitivity, asked.disk)):
         said = "asked of the loop itself: give --model and --records"
         of_loop = claimed(replace(asked, limits=()))
@@ -211,7 +219,7 @@ def _fitted(plant: Plant, given: Fitted) -> Iterable:
     return fitted_box_of(plant, given.to_dict() if isinstance(given, Answer) else given)
 
 
-def _tried(law: Any, limits: LoopLimits, model: LPVModel | None, plant: Plant | None) -> Trial:
+def _tried(law: Any, limits: LoopLimits, model: Model | None, plant: Plant | None) -> Trial:
     """One run on the most truthful simulation at hand: of the plant, through what is asked; without one of the model."""
     if plant is None:
         assert model is not None

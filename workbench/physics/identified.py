@@ -3,17 +3,20 @@
     x(k+1) = A(rho) x(k) + B(rho) (u(k) - u0(rho)) + K(rho) L e(k)
     y(k)   = C(rho) x(k) + D(rho) (u(k) - u0(rho)) + y0(rho) + L e(k),        M(rho) = sum_j M_j phi_j(rho(k - d_j))
 
-e is the innovation, what the model's own one-step predictor leaves over, in units of its spread (L L' is its covariance): a state
+Of a Hammerstein-Wiener model u is what arrives, f(u), and y is shown without its sign where the sensor is blind to it. e is the
+innovation, what the model's own one-step predictor leaves over, in units of its spread (L L' is its covariance): a state
 that is pushed at every sample and forgotten at the next. In a free run it is 0, and the plant runs as the model does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from workbench.curves import Curve, bent
 from workbench.data import Channel
 from workbench.errors import InputError
+from workbench.hammerstein import Model, curves_of
 from workbench.lpv import LPVModel, check_schedule_from_outside
 from workbench.physics.effects.effect import Named, Port
 from workbench.physics.plant import Plant
@@ -36,14 +39,16 @@ class Turning(Port):
         return {}
 
 
-def identified(model: LPVModel) -> Plant:
-    """The plant of a state-space model; see the module.
+def identified(model: Model) -> Plant:
+    """The plant of a state-space model, or of one behind curves; see the module.
 
     Its commanded inputs have actuators, its outputs sensors; it has no parameters, for its numbers were fitted all at once and
     none of them is a part of the machine. The schedule is an input that moves on its own and must be logged, unless it is one of
     the inputs already; what the model remembers of it are states. A channel in rad/s turns something, whose angle is followed.
     Raises InputError for a schedule that is an output too.
     """
+    whole = model
+    model = model if isinstance(model, LPVModel) else model.core
     check_schedule_from_outside(model, "a plant of a model")
     for schedule in model.schedules:
         if schedule.name in [c.name for c in model.outputs]:
@@ -55,9 +60,9 @@ def identified(model: LPVModel) -> Plant:
     inputs = tuple(replace(c, role="input") for c in model.inputs)
     known = [c.name for c in inputs]
     inputs = (*inputs, *(replace(c, role="schedule") for c in model.schedules if c.name not in known))
-    equation = _Equation(model)
+    equation = _Equation(whole)
     return Plant(
-        name=model.name,
+        name=whole.name,
         states=(
             *(Channel(name, "") for name in (*equation.states, *equation.noise)),
             *(Channel(name, unit) for name, unit in equation.past.items()),
@@ -70,19 +75,20 @@ def identified(model: LPVModel) -> Plant:
         measure=equation.outputs,
         dt=model.dt,
         ports=tuple(Turning(place, speed) for place, speed in equation.speeds.items()),
-        start=Start(fixed=_at_rest(model, equation.earlier)),
+        start=Start(fixed=_at_rest(model, equation.earlier, equation.curves)),
         noise={} if model.noise is None else _spread(model),
         substeps=1,
-        description=f"{model.name}, order {model.order}, identified from records",
+        description=f"{whole.name}, order {model.order}, identified from records",
         process={name: 1.0 / model.dt for name in equation.noise},
         discrete=True,
     )
 
 
-def _at_rest(model: LPVModel, earlier: Sequence[Sequence[str]]) -> dict[str, float]:
+def _at_rest(model: LPVModel, earlier: Sequence[Sequence[str]], curves: Mapping[str, Curve]) -> dict[str, float]:
     """The operating point in the middle of the schedule, where the model stands still: what was before the first sample."""
     middle = np.atleast_1d(model.middle).tolist() if model.schedules else []
     u0 = model.operating_point.basis(model.middle) @ model.operating_point.u
+    u0 = np.array([curves[c.name].nearest(v) if c.name in curves else v for c, v in zip(model.inputs, u0, strict=True)])
     now = dict(zip((c.name for c in model.schedules), middle, strict=True))
     past = {name: value for names in earlier for name, value in zip(names, middle, strict=True)}
     return past | now | dict(zip((c.name for c in model.inputs), u0.tolist(), strict=True))
@@ -97,8 +103,11 @@ def _spread(model: LPVModel) -> dict[str, float]:
 class _Equation:
     """The equation of a model, and the names of its states: its own, of its noise, of schedule and speeds as they just were."""
 
-    def __init__(self, model: LPVModel):
+    def __init__(self, whole: Model):
+        model = whole if isinstance(whole, LPVModel) else whole.core
         self.model = model
+        self.curves = {curve.input: curve for curve in curves_of(whole)}
+        self.unsigned = () if isinstance(whole, LPVModel) else whole.unsigned
         self.states = [f"state {i + 1}" for i in range(model.order)]
         self.noise = []
         self.K = self.L = None
@@ -138,7 +147,8 @@ class _Equation:
         if self.L is not None:
             y = _sum(y, _product(self.L[None], [1.0], _of(x, self.noise)))
         y = _sum(y, _product(point.y[:, :, None], point.basis.functions(self._rho(self._now(u))), [1.0]))
-        return dict(zip((c.name for c in model.outputs), y, strict=True))
+        named = dict(zip((c.name for c in model.outputs), y, strict=True))
+        return named | {name: np.abs(named[name]) for name in self.unsigned}
 
     def _now(self, u: Named) -> list:
         """The schedule variables, within what the model knows."""
@@ -163,7 +173,12 @@ class _Equation:
         """u - u0(rho)."""
         point = self.model.operating_point
         zero = _product(point.u[:, :, None], point.basis.functions(self._rho(self._now(u))), [1.0])
-        return [a - b for a, b in zip(_of(u, [c.name for c in self.model.inputs]), zero, strict=True)]
+        names = [c.name for c in self.model.inputs]
+        acting = [
+            bent(value, self.curves[name].bends) if name in self.curves else value
+            for name, value in zip(names, _of(u, names), strict=True)
+        ]
+        return [a - b for a, b in zip(acting, zero, strict=True)]
 
 
 def _of(named: Named, names: Sequence[str]) -> list:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from workbench.hammerstein import Model, behind, curves_of
 from workbench.lpv import LPVModel, ends
 from workbench.physics.controller import schedules_of
 from workbench.physics.plant import Plant
@@ -55,8 +56,9 @@ class Trial:
         return float(self.beyond.max(initial=0.0))
 
 
-def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None) -> Trial:
-    """The law on the model it was designed for, from rest at the usual set-point."""
+def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) -> Trial:
+    """The law on the model it was designed for, from rest at the usual set-point; behind its curves where it has some."""
+    (inner, model), curves = behind(law, model), curves_of(model)
     if np.any(model.D):
         why = "its outputs see the command of their own sample, which held commands cannot do"
         mend = "identify --no-feedthrough, or give --plant"
@@ -65,19 +67,19 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     first = low + EDGE * (high - low) if follows is not None else low
     phi = model.operating_point.basis(np.array(first))
     rest = np.array(phi @ model.operating_point.y if setpoint is None else setpoint, dtype=float)
-    step = _steps(law, model, rest)
+    step = _steps(inner, model, rest)
     if follows is not None:
         rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     rest[own], step[own] = _inside(law, rest[own], step[own])
-    settling = _settling(law, model, step[own])
+    settling = _settling(inner, model, step[own])
     references = _path(rest, step, settling)
     N = len(references)
     if model.schedules and follows is None and N < ALONG:
         references, N = np.repeat(references, -(-ALONG // N), axis=0), N * -(-ALONG // N)
     rho = model.path(N) if follows is None else np.full(N, first)
-    run = Rehearsal(model, references, rho, np.zeros_like(references), np.ones(len(rest)), follows)
+    run = Rehearsal(model, references, rho, np.zeros_like(references), np.ones(len(rest)), follows, curves)
     with np.errstate(over="ignore", invalid="ignore"):
         _, y = run.run(law)
     moving = ", ".join(c.name for c in model.schedules)
@@ -90,20 +92,21 @@ def on_model(law: Any, model: LPVModel, setpoint: Sequence[float] | None = None)
     return _judged(where, law, references[:, own], y[:, own], units, model.dt, settling)
 
 
-def on_plant(law: Any, plant: Plant, model: LPVModel) -> Trial:
+def on_plant(law: Any, plant: Plant, model: Model) -> Trial:
     """The law on a plant, from the plant's own rest; a schedule that is an output is stepped over the law's span."""
+    inner, model = behind(law, model)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     begun = simulate(plant, law, _scenario(law, np.zeros((2, len(own)))), bumpless=True, cut=True).experiment
     rest = np.array([begun[name][0] for name in law.measured[: len(law.references)]])
-    step = _steps(law, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
+    step = _steps(inner, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
     scheduled = dict(zip(schedules_of(law), np.reshape(getattr(law, "span", model.spans), (-1, 2)), strict=False))
     known = [name for name in scheduled if name in law.measured[: len(law.references)]]
     for name in known:
         j, (low, high) = law.measured.index(name), scheduled[name]
         inner = low + EDGE * (high - low), high - EDGE * (high - low)
         step[j] = max(inner, key=lambda end: abs(end - rest[j])) - rest[j]
-    settling, every = _settling(law, model, step), max(1, round(law.dt / plant.dt))
+    settling, every = _settling(inner, model, step), max(1, round(law.dt / plant.dt))
     for share in (1.0,) if known else SHARES:
         path = np.repeat(_path(rest, share * step, settling), every, axis=0)
         if not (trial := along(law, plant, path, settling * every)).lost:
@@ -111,7 +114,7 @@ def on_plant(law: Any, plant: Plant, model: LPVModel) -> Trial:
     return trial
 
 
-def tried(law: Any, model: LPVModel, plant: Plant | None, setpoint: Sequence[float] | None = None) -> Trial:
+def tried(law: Any, model: Model, plant: Plant | None, setpoint: Sequence[float] | None = None) -> Trial:
     """On the plant where there is one, else on the model."""
     return on_model(law, model, setpoint) if plant is None else on_plant(law, plant, model)
 

@@ -80,8 +80,8 @@ def test_what_failed_is_written_and_runs_again(records, model, tmp_path):
     ("given", "problem"),
     [
         ({}, "check on what"), ({"model": 1}, "model and records go together"), ({"records": 1, "plant": 1}, "go together"),
-        ({"fitted": ["x.json"], "model": 1, "records": 1}, "fitted"), ({"plant": "welding-robot"}, "expected Plant"),
-        ({"model": "m.json", "records": 1}, "expected LPVModel"), ({"plant": WELDING_ROBOT, "limits": 5}, "limits: int 5"),
+        ({"fitted": ["x.json"], "model": 1, "records": 1}, "fitted"), ({"plant": "welding-robot"}, "expected a plant"),
+        ({"model": "m.json", "records": 1}, "expected an LPV"), ({"plant": WELDING_ROBOT, "limits": 5}, "limits: int 5"),
         ({"plant": WELDING_ROBOT, "runs": 0}, "runs = 0"), ({"plant": WELDING_ROBOT, "nodes": 2.5}, "nodes = 2.5"),
     ],
 )  # fmt: skip

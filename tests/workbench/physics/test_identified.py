@@ -7,9 +7,11 @@ import pytest
 
 from tests.workbench.diagnosis.black_box import DT, MODEL, PLANT, V1, V2, R, W, records
 from workbench.basis import CONSTANT, Gaussian, PiecewiseLinear, Powers
+from workbench.curves import Curve
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.predictor import Noise, predictor
 from workbench.errors import InputError
+from workbench.hammerstein import HammersteinWienerModel, Model
 from workbench.lpv import LPVModel, OperatingPoint, Term, constant_model
 from workbench.physics.controller import Playback
 from workbench.physics.extension import extension, load_extension
@@ -44,11 +46,11 @@ def any_model(basis, delays=(0, 2), schedule=R) -> LPVModel:
     )  # fmt: skip
 
 
-def stepped(model: LPVModel, e: Experiment) -> np.ndarray:
+def stepped(model: Model, e: Experiment) -> np.ndarray:
     """Outputs (N, ny) of the plant's equation, one sample after the other."""
     plant = identified(model)
     u = e[list(plant.input_names)]
-    rho = float(model.schedule_of(e)[0])
+    rho = float(e["r2"][0])
     x = np.array([before(rho, plant).get(name, 0.0) for name in plant.state_names])
     y = []
     for now in u:
@@ -68,6 +70,20 @@ def test_the_plant_of_a_model_runs_free_as_the_model_does(basis):
     expected = model.simulate(e, warmup=0)
     assert np.ptp(expected, axis=0).min() > 0.1
     assert stepped(model, e) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_the_plant_of_a_model_with_curves_runs_free_as_the_model_does():
+    """Any start: the first inputs are those at which it stands still, where a curve turns back the nearest."""
+    core = any_model(BASES[3])
+    curves = (Curve("V1", [0.0, 1.0, 2.0], [0.0, 0.4, 2.0]), Curve("V2", [0.0, 1.0, 2.0, 3.0], [0.0, 0.5, 0.3, 2.0]))
+    model = HammersteinWienerModel("HW", core, curves, ("T",))
+    e = replace(RECORD, channels=(*RECORD.channels, Channel("T", "N", "output")), values=RECORD.values[:, [0, 1, 2, 3, 2]])
+    expected = model.shown(core.simulate(model.curved(e), warmup=0))
+    assert (core.simulate(model.curved(e), warmup=0)[:, 1] < -0.01).any()
+    assert stepped(model, e) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    start = identified(model).start.fixed
+    u0 = core.operating_point.basis(core.middle) @ core.operating_point.u
+    assert {name: start[name] for name in ("V1", "V2")} == {c.input: c.nearest(v) for c, v in zip(curves, u0, strict=True)}
 
 
 def test_a_schedule_that_is_an_input_needs_no_channel_of_its_own():
