@@ -19,6 +19,7 @@ from controllers.tube import taken
 from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
 from studies.cli import DONE
 from studies.referee import handed_out
+from workbench.answers.comparison import curve_picture
 from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
@@ -29,7 +30,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
 from workbench.provenance import provenance
 from workbench.readers import read_file
-from workbench.report.blocks import Report, Section
+from workbench.report.blocks import Picture, Report, Section
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
 from workbench.steady import rests
@@ -84,10 +85,10 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
         say(f"gain table -> {folder / 'gains.csv'}{', curves -> curves.csv' if found.law.curves else ''}")
     say(f"margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: inner}, models, bounds, found.scale)
-    title = f"{kind} on {model.name}"
-    page = Report(
-        title, " ".join(map(ended, (trial.sentence, _worst_said(found, over, model), *moved))), (Section("Design", pictures),)
-    )
+    sections, curves = [Section("Design", pictures)], _curve_pictures(whole)
+    sections += [Section("Curves of actuators, which the law inverts", curves)] * bool(curves)
+    said = " ".join(map(ended, (trial.sentence, _worst_said(found, over, model), *moved)))
+    page = Report(f"{kind} on {model.name}", said, tuple(sections))
     say(f"pictures -> {write_report(page, folder)}")
     result = {
         "kind": kind, "objective": found.objective, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
@@ -258,6 +259,10 @@ def _setpoints_said(law: ScheduledPID, model: LPVModel, wanted: ScheduledPIDDesi
         given = any(w < np.inf for w in wanted.reference_model.values())
         said.append("steps still overshoot: " + ("a smaller --reference-model" if given else "limit their rate with --slew"))
     return "; ".join(said)
+
+
+def _curve_pictures(model: Model) -> tuple[Picture, ...]:
+    return () if isinstance(model, LPVModel) else tuple(curve_picture(model, curve) for curve in model.curves)
 
 
 def _curves_said(law: ScheduledPID, model: Model) -> list[str]:
