@@ -28,6 +28,9 @@ def run(options: Namespace, say: Say) -> int:
         if (given := getattr(options, name)) is not None and given is not False and given != []:
             option = f"--{name.replace('_', '-')}"
             raise InputError(f"{option} goes not with --replay", mend="leave it out: the file holds the whole run")
+    if Path(options.replay).suffix.lower() in (".csv", ".txt", ".mat"):
+        mend = f"to run the inputs of a record: --inputs-from {options.replay}"
+        raise InputError("a record, and no stored counterexample", file=options.replay, mend=mend)
     if is_sequence(options.replay):
         return _run_sequence(options, say)
     stored = load_counterexample(options.replay)

@@ -140,3 +140,9 @@ def test_a_run_that_left_the_range_is_replayed_up_to_there(tmp_path, capsys):
     assert len(record) == worst.sample < 200
     assert np.max(record["v"]) > 0.3
     assert json.loads((tmp_path / "out" / "simulate.json").read_text())["runs"][0]["stored"] is None
+
+
+def test_a_record_is_told_from_a_stored_run(capsys):
+    assert main(["simulate", "welding-robot", "--replay", "c.csv"]) == 2
+    said = capsys.readouterr().err
+    assert "c.csv: a record, and no stored counterexample\n  mend: to run the inputs of a record: --inputs-from c.csv" in said

@@ -58,7 +58,7 @@ class Trial:
 
 def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) -> Trial:
     """The law on the model it was designed for, from rest at the usual set-point; behind its curves where it has some."""
-    (inner, model), curves = behind(law, model), curves_of(model)
+    (straight, model), curves = behind(law, model), curves_of(model)
     if np.any(model.D):
         why = "its outputs see the command of their own sample, which held commands cannot do"
         mend = "identify --no-feedthrough, or give --plant"
@@ -67,13 +67,13 @@ def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) ->
     first = low + EDGE * (high - low) if follows is not None else low
     phi = model.operating_point.basis(np.array(first))
     rest = np.array(phi @ model.operating_point.y if setpoint is None else setpoint, dtype=float)
-    step = _steps(inner, model, rest)
+    step = _steps(straight, model, rest)
     if follows is not None:
         rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     rest[own], step[own] = _inside(law, rest[own], step[own])
-    settling = _settling(inner, model, step[own])
+    settling = _settling(straight, model, step[own])
     references = _path(rest, step, settling)
     N = len(references)
     if model.schedules and follows is None and N < ALONG:
@@ -94,19 +94,19 @@ def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) ->
 
 def on_plant(law: Any, plant: Plant, model: Model) -> Trial:
     """The law on a plant, from the plant's own rest; a schedule that is an output is stepped over the law's span."""
-    inner, model = behind(law, model)
+    straight, model = behind(law, model)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     begun = simulate(plant, law, _scenario(law, np.zeros((2, len(own)))), bumpless=True, cut=True).experiment
     rest = np.array([begun[name][0] for name in law.measured[: len(law.references)]])
-    step = _steps(inner, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
+    step = _steps(straight, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
     scheduled = dict(zip(schedules_of(law), np.reshape(getattr(law, "span", model.spans), (-1, 2)), strict=False))
     known = [name for name in scheduled if name in law.measured[: len(law.references)]]
     for name in known:
         j, (low, high) = law.measured.index(name), scheduled[name]
         inner = low + EDGE * (high - low), high - EDGE * (high - low)
         step[j] = max(inner, key=lambda end: abs(end - rest[j])) - rest[j]
-    settling, every = _settling(inner, model, step), max(1, round(law.dt / plant.dt))
+    settling, every = _settling(straight, model, step), max(1, round(law.dt / plant.dt))
     for share in (1.0,) if known else SHARES:
         path = np.repeat(_path(rest, share * step, settling), every, axis=0)
         if not (trial := along(law, plant, path, settling * every)).lost:
