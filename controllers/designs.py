@@ -16,7 +16,7 @@ import numpy as np
 
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.pid_design import OBJECTIVES, PIDDesign, Structure, design_pid
-from controllers.scheduled_pid import ScheduledPID, let_through
+from controllers.scheduled_pid import ScheduledPID, check_limits, let_through
 from workbench.curves import Curve
 from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError, check_known
@@ -113,6 +113,7 @@ class ScheduledPIDDesign:
             mend = "leave it out, or design on the LPV models behind the curves: .core"
             raise InputError("robust_to beside a model with curves: which would the law invert?", file=model.name, mend=mend)
         commands = self._limits(model, curves)
+        check_limits(model.name, [c.name for c in model.inputs], commands["low"], commands["high"])
         limits = dict(zip(commands, let_through(curves, [c.name for c in model.inputs], **commands), strict=True))
         self._shaping(model)  # refuses outputs that the model does not have before any work
         structure = Structure(

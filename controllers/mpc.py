@@ -111,6 +111,11 @@ class MPC(Receding):
 
     def __post_init__(self):
         check_schedule_from_outside(self.model, "an MPC")
+        if self.fallback.curves:
+            mend = "design one on the model that the MPC predicts with"
+            raise InputError(
+                f"{self.fallback.name}, its fallback, inverts curves and commands u, the MPC f(u)", file=self.name, mend=mend
+            )
         self.check(self.actuated, self.measured)
         own, known = schedules_of(self.fallback), schedules_of(self)
         if own not in ((), known):

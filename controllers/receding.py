@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controllers.scheduled_pid import ScheduledPID, check_limits, finite, unlimited
+from controllers.scheduled_pid import CURVED_VERSION, ScheduledPID, check_limits, finite, unlimited
 from workbench.data import SAME_DT
 from workbench.errors import InputError
 from workbench.records import field, record
@@ -111,7 +111,8 @@ class Receding:
     def common_dict(self) -> dict[str, Any]:
         """What the files of all such laws hold."""
         limits = {key: finite(getattr(self, key)) for key in LIMITS}
-        rest = {"weights": vars(self.weights), "fallback": self.fallback.to_dict()}
+        rest: dict[str, Any] = {"weights": vars(self.weights), "fallback": self.fallback.to_dict()}
+        rest |= {"version": CURVED_VERSION} if self.fallback.curves else {}
         return {"name": self.name, "horizon": self.horizon, **limits, **rest}
 
     def _solved(self, program: Program) -> tuple[np.ndarray | None, Status]:

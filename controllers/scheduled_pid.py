@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from workbench.basis import CONSTANT, Basis, Products, basis_from_dict, basis_to_dict, functions_at, knots_of
-from workbench.curves import Curve, bent
+from workbench.curves import Curve, bent, check_single
 from workbench.errors import InputError, check_known
 from workbench.physics.controller import schedules_of
 from workbench.records import field, record
@@ -134,6 +134,7 @@ class ScheduledPID:
         ):
             mend = "give it a bandwidth, or Ka = 0"
             raise InputError("Ka for a set-point without a reference model", file=self.name, channel=name, mend=mend)
+        check_single(self.curves, self.name)
         for curve in self.curves:
             check_known("actuated channel", curve.input, self.actuated, file=self.name)
             curve.check_rising()
@@ -302,6 +303,7 @@ class ScheduledPID:
         """The law that `to_dict` wrote."""
         anti_windup = dict(content["anti_windup"])
         schedule = tuple(own) if isinstance(own := content["schedule"], list) else own
+        own_curves = content["curves"] if content.get("version") == CURVED_VERSION else ()
         return cls(
             actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
             dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"],
@@ -311,7 +313,7 @@ class ScheduledPID:
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=schedule, name=content["name"], units=dict(content.get("units", {})), span=_ends(content["span"]),
             **{key: unlimited(content[key], np.inf) for key in ("slew", "bandwidth") if key in content},
-            Ka=content.get("Ka", 0.0), curves=tuple(Curve(c["input"], c["u"], c["v"]) for c in content.get("curves", ())),
+            Ka=content.get("Ka", 0.0), curves=tuple(Curve(c["input"], c["u"], c["v"]) for c in own_curves),
         )  # fmt: skip
 
     def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:

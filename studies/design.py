@@ -276,9 +276,11 @@ def _curves_said(law: ScheduledPID, model: Model) -> list[str]:
         if law.low[at] < curve.u[0] or law.high[at] > curve.u[-1]:
             said.append(f"note: {curve.input} may go where the records have not shown its curve: it goes on as a straight line")
         if not np.array_equal(curve.v, own.v):
-            still = own.u[:-1][curve.slopes != own.slopes]
-            where = f"about {curve.input} = {still.mean():.3g} {unit}".rstrip()
-            said.append(f"note: the curve stands still {where}: its inverse is steep there, the loop weaker than margins say")
+            flat = np.flatnonzero(own.slopes < own.flattest)
+            where = f"from {own.u[flat[0]]:.3g} to {own.u[flat[-1] + 1]:.3g} {unit}".rstrip()
+            parts = "" if np.all(np.diff(flat) == 1) else "in parts "
+            still = f"note: the curve of {curve.input} stands still {parts}{where}"
+            said.append(f"{still}: its inverse is steep there, and the loop weaker than its margins say")
     return said
 
 

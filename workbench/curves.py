@@ -1,5 +1,6 @@
 """Static curves of actuators: what arrives at a machine, v = f(u), straight lines between nodes."""
 
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
@@ -74,6 +75,11 @@ class Curve:
         return float(self.u[i] + ((reached[i] - self.v[i]) / rise if rise else 0.0) * (self.u[i + 1] - self.u[i]))
 
     @property
+    def flattest(self) -> float:
+        """The slope that its inverse takes at least: FLATTEST of the mean one."""
+        return float(FLATTEST * (self.v[-1] - self.v[0]) / (self.u[-1] - self.u[0]))
+
+    @property
     def invertible(self) -> "Curve":
         """min sum_i (w_i - v_i)^2 over curves (u, w) whose slope is FLATTEST of the mean one at least: itself where it is.
 
@@ -83,7 +89,7 @@ class Curve:
             >>> Curve("valve", [-2.0, -1.0, 1.0, 2.0], [-1.0, 0.0, 0.0, 1.0]).invertible.slopes
             array([0.975, 0.025, 0.975])
         """
-        rise = FLATTEST * (self.v[-1] - self.v[0]) / (self.u[-1] - self.u[0])
+        rise = self.flattest
         if rise > 0.0 and np.all(self.slopes >= rise):
             return self
         near = isotonic_regression(self.v - rise * self.u).x + rise * self.u if rise > 0.0 else np.full(len(self.u), np.inf)
@@ -101,6 +107,15 @@ class Curve:
 
     def _segment(self, u: np.ndarray) -> np.ndarray:
         return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
+
+
+def check_single(curves: Iterable[Curve], file: str) -> None:
+    """Refuse several curves of one input."""
+    seen = []
+    for curve in curves:
+        if curve.input in seen:
+            raise InputError("two curves of one input", file=file, channel=curve.input, mend="give it one")
+        seen.append(curve.input)
 
 
 def bent(u: Any, bends: Any) -> Any:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from workbench.curves import Curve
+from workbench.curves import Curve, check_single
 from workbench.data import Channel, Experiment
 from workbench.errors import InputError, check_known
 from workbench.files import read_json, write_json
@@ -50,8 +50,14 @@ class HammersteinWienerModel:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
+        check_single(self.curves, self.name)
         for curve in self.curves:
             check_known("input", curve.input, [c.name for c in self.core.inputs])
+            if curve.input in [c.name for c in self.core.schedules]:
+                mend = "take another schedule, or the input without a curve"
+                raise InputError(
+                    "a static curve of an input that is the schedule", file=self.name, channel=curve.input, mend=mend
+                )
         for name in self.unsigned:
             check_known("output", name, [c.name for c in self.core.outputs])
         if self.core.scheduled_output is not None:
@@ -216,8 +222,12 @@ def curves_of(model: Model) -> tuple[Curve, ...]:
 
 def inverted(model: Model) -> tuple[Curve, ...]:
     """The curves that a law inverts on a model; see `Curve.invertible`."""
+    return tuple(_inverted(curve, model) for curve in curves_of(model))
+
+
+def _inverted(curve: Curve, model: Model) -> Curve:
     try:
-        return tuple(curve.invertible for curve in curves_of(model))
+        return curve.invertible
     except InputError as reason:
         raise InputError(reason.problem, file=model.name, channel=reason.channel, mend=reason.mend) from None
 
@@ -225,10 +235,10 @@ def inverted(model: Model) -> tuple[Curve, ...]:
 def behind(law: Any, model: Model) -> tuple[Any, LPVModel]:
     """The law of v and the core of the model: the loop of both, as it is behind the curves.
 
-    Raises InputError where the law does not invert the curves of the model, and no others.
+    Raises InputError where the law does not invert the curves of the inputs that it commands, and no others.
     """
-    core, known = core_of(model), {curve.input: curve for curve in inverted(model)}
-    own = {curve.input: curve for curve in getattr(law, "curves", ())}
+    core, own = core_of(model), {curve.input: curve for curve in law.curves} if hasattr(law, "inside") else {}
+    known = {curve.input: _inverted(curve, model) for curve in curves_of(model) if curve.input in law.actuated}
     for name in dict.fromkeys([*known, *own]):
         if name not in own:
             mend = "design a PID on this model: it inverts the curve"
@@ -242,7 +252,9 @@ def behind(law: Any, model: Model) -> tuple[Any, LPVModel]:
 
 
 def _same(one: Curve, other: Curve) -> bool:
-    return len(one.u) == len(other.u) and all(np.allclose(getattr(one, k), getattr(other, k), rtol=1e-9) for k in ("u", "v"))
+    """Whether two curves are one, to a billionth of their ranges."""
+    pairs = ((one.u, other.u), (one.v, other.v))
+    return len(one.u) == len(other.u) and all(np.allclose(a, b, rtol=0.0, atol=1e-9 * np.ptp(b)) for a, b in pairs)
 
 
 def with_curves(experiment: Experiment, curves: Iterable[Curve]) -> Experiment:

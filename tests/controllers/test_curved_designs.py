@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +11,17 @@ import pytest
 import workbench as wb
 from controllers import MPCDesign, ScheduledPIDDesign
 from controllers.files import load_controller, save_controller
+from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
 from studies.cli import main
-from workbench.curves import Curve
-from workbench.data import Dataset, Experiment
+from workbench.curves import Curve, bent
+from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.hammerstein import HammersteinWienerModel, behind
+from workbench.lpv import OperatingPoint
+from workbench.physics.parameters import Parameter
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 from workbench.rehearsal import hold
 from workbench.robustness.limits import limits_of
 from workbench.robustness.verdict import Status
@@ -125,7 +131,8 @@ def test_what_is_proved_of_it_is_what_is_proved_behind_the_curve(model, law, rec
     inside = {"y": limits["y"], "u": {end: float(SQUARE(np.array(limits["u"][end]))) for end in ("low", "high")}}
     arriving = Dataset(tuple(model.curved(e) for e in records))
     straight = wb.check(law.inside, asked | {"limits": inside}, model=model.core, records=arriving)
-    by_claim = {v.claim.replace("f(u)", "u"): v for v in found.verdicts}
+    assert any(v.claim.startswith("u: high 2.5, f(u): high ") for v in found.verdicts)
+    by_claim = {v.claim.rpartition(", ")[2].replace("f(u)", "u"): v for v in found.verdicts}
     for v in straight.verdicts:
         assert by_claim[v.claim].status is v.status
         assert by_claim[v.claim].margin == pytest.approx(v.margin, rel=1e-6)
@@ -157,6 +164,103 @@ def test_where_the_inverse_is_not_exact_nothing_is_proved(model, records):
     found = wb.check(law, asked, model=dead, records=records)
     assert {v.status for v in found.verdicts} == {Status.UNDECIDED}
     assert all("not exact" in v.sentence for v in found.verdicts)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e6])
+def test_curves_are_told_apart_in_every_unit(model, law, scale):
+    """In nA all curves are within 1e-8 of each other."""
+
+    def scaled(curve: Curve) -> Curve:
+        return Curve("u", scale * curve.u, scale * curve.v)
+
+    other = Curve("u", SQUARE.u, SQUARE.v + np.array([0.0, 0.0, 0.0, 0.02, 0.0]))
+    own, whole = replace(law, curves=(scaled(SQUARE),)), replace(model, curves=(scaled(SQUARE),))
+    assert behind(own, whole)[0].curves == ()
+    with pytest.raises(InputError, match="another curve"):
+        behind(replace(law, curves=(scaled(other),)), whole)
+
+
+def test_beyond_what_the_records_have_shown_of_a_curve_nothing_is_proved(model, law, records):
+    """A machine that is the same there may do anything beyond, and its curve goes on as a line by convention alone."""
+    asked = {"run": {"duration": 5.0, "setpoints": {"y": ((0.0, 0.0), (1.0, 1.0))}}, "limits": {"y": {"high": 2.0}}}
+    found = wb.check(replace(law, high=[12.0]), asked, model=model, records=records)
+    assert {v.status for v in found.verdicts} == {Status.UNDECIDED}
+    assert all("u may go where the records have not shown its curve, known from -3 to 3" in v.sentence for v in found.verdicts)
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [({"u": {"high": 2.0, "unit": "mV"}}, "limits.u.*in mV, the model has it in V"), ({"w": {"high": 2.0}}, "it has u, y")],
+)
+def test_limits_are_refused_in_the_words_of_their_file(model, law, records, limits, said):
+    asked = {"run": {"duration": 5.0, "setpoints": {"y": ((0.0, 0.0),)}}, "limits": limits}
+    with pytest.raises(InputError, match=f"(?s){said}"):
+        wb.check(law, asked, model=model, records=records)
+    with pytest.raises(InputError, match=r"lower limit 3\.5 is not below the upper 3"):
+        ScheduledPIDDesign(low={"u": 3.5}).on(model)
+
+
+def test_with_a_plant_the_law_of_the_commands_runs_on_it(model, law, records):
+    """What its schedule does, and the search, are of u; what is proved is of f(u)."""
+    plant = Plant(
+        name="curved", description="", states=(Channel("x", "m"),), inputs=(Channel("u", "V", "input"),),
+        outputs=(Channel("y", "m", "output"),), parameters=(Parameter("T", 0.8, "s", tolerance=0.02),),
+        equation=lambda x, u, p, at: {"x": (1.4 * bent(u.u, SQUARE.bends) - x.x) / p.T}, measure=lambda x, p: {"y": x.x},
+        dt=DT, ports=(), start=Start(fixed={"x": 0.0}, solve_for=("u",), zero=("x",)),
+    )  # fmt: skip
+    asked = {"run": {"duration": 5.0, "setpoints": {"y": ((0.0, 0.0), (1.0, 1.5))}}, "limits": {"y": {"high": 2.2}}}
+    found = wb.check(law, asked, model=model, records=records, plant=plant, runs=20)
+    by_of = {v.of: v.status for v in found.verdicts if v.claim.startswith("y")}
+    assert set(by_of.values()) == {Status.PROVED, Status.PASSED}
+    assert not found.trial.lost
+    assert ScheduledPIDDesign().on(model, plant).curves
+
+
+def test_inputs_that_the_law_does_not_command_keep_their_curves(model):
+    """Of two inputs, each with a curve; the law commands the second, in the order of its own."""
+    rest = {
+        "C": [[[1.0]]],
+        "D": np.zeros((1, 1, 2)),
+        "A": model.core.A,
+        "B": np.concatenate([0.3 * model.core.B, model.core.B], 2),
+    }
+    inputs, point = (Channel("d", "V", "input"), *model.core.inputs), model.core.operating_point
+    core = replace(
+        model.core, inputs=inputs, **rest, predictor=None, noise=None,
+        operating_point=OperatingPoint(point.basis, np.zeros((1, 2)), np.zeros((1, 1))),
+    )  # fmt: skip
+    two = HammersteinWienerModel("two", core, (Curve("d", [-1.0, 0.0, 1.0], [3.0, 0.0, 3.0]), SQUARE))
+    law = pid(("u",), ("y",), ("y_set",), DT, Kp=[[0.5]], Ki=[[0.9]], low=(-3.0,), high=(3.0,))
+    law = replace(law, curves=(SQUARE,))
+    inner, _ = behind(law, two)
+    assert [*inner.low, *inner.high] == pytest.approx([-4.0, 3.9])
+    run = hold(two, law, {"y": 1.0}, 400, None)
+    assert run["y"][-1] == pytest.approx(1.0, abs=1e-3)
+    assert np.ptp(run["d"]) == 0.0
+    both = replace(
+        pid(("u", "d"), ("y", "y2"), ("a", "b"), DT, Kp=np.eye(2), Ki=np.eye(2), low=(-3.0, -1.0), high=(3.0, 0.5)),
+        curves=(Curve("d", [-1.0, 0.5], [-2.0, 7.0]), SQUARE),
+    )
+    assert [*both.inside.low, *both.inside.high] == pytest.approx([-4.0, -2.0, 3.9, 7.0])
+
+
+def test_what_makes_no_sense_of_curves_is_refused(model, law, tmp_path):
+    twice = (SQUARE, SQUARE)
+    for make in (lambda: replace(law, curves=twice), lambda: replace(model, curves=twice)):
+        with pytest.raises(InputError, match="two curves of one input"):
+            make()
+    scheduled = replace(model.core, schedules=(Channel("u", "V", "schedule"),), spans=[[-3.0, 3.0]])
+    with pytest.raises(InputError, match="a static curve of an input that is the schedule"):
+        HammersteinWienerModel("h", scheduled, (SQUARE,))
+    with pytest.raises(InputError, match="its fallback, inverts curves"):
+        MPCDesign(fallback=law).on(model.core)
+    own = SimpleNamespace(name="mine", curves={"u": 1}, actuated=("u",))
+    assert behind(own, model.core)[0] is own
+    content = json.loads(save_controller(law, tmp_path / "pid.json").read_text())
+    del content["curves"]
+    (tmp_path / "pid.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="field 'curves' is missing"):
+        load_controller(tmp_path / "pid.json")
 
 
 def test_channels_say_what_they_are_behind_the_curve(model, law, records):
@@ -210,6 +314,20 @@ def test_on_machines_with_curves_steps_settle_sooner_and_overshoot_less_than_und
     for k in range(0, len(over), 2):
         assert over[k] < max(0.2, over[k + 1])
         assert settled[k] < 0.7 * settled[k + 1]
+
+
+@pytest.mark.parametrize(
+    ("curve", "said"),
+    [
+        (DEAD, "the curve of u stands still from -0.5 to 0.5 V: its inverse is steep there"),
+        (Curve("u", [-3.0, 1.0, 2.0, 3.0], [-4.0, 0.1, 0.1, 1.3]), "the curve of u stands still from 1 to 2 V"),
+        (Curve("u", [-3.0, -2.8, 0.0, 0.2, 3.0], [-3.0, -3.0, 0.0, 0.0, 3.0]), "u stands still in parts from -3 to 0.2 V"),
+    ],
+)
+def test_a_design_says_where_a_curve_stands_still(model, curve, said, tmp_path, capsys):
+    replace(model, curves=(curve,)).save(tmp_path / "h.json")
+    assert main(["design", "pid", "--model", str(tmp_path / "h.json"), "--out", str(tmp_path / "d")]) == 0
+    assert said in capsys.readouterr().out
 
 
 def test_the_command_line_from_records_to_firmware(model, law, records, tmp_path, capsys, monkeypatch):

@@ -98,9 +98,8 @@ def check(
     if left is not None and loop is not None:
         part = Part(TITLE, ())
         if loop.limits is not None:
-            run = plant if loop.law is controller else None  # a law of what arrives does not run on a plant
-            part = on_model(left, loop.law, loop.limits, run, nodes=nodes, rate=rate, progress=progress)
-        parts.append(replace(part, verdicts=(*part.verdicts, *loop.unsaid)))
+            part = on_model(left, loop.law, loop.limits, plant, nodes=nodes, rate=rate, driver=controller, progress=progress)
+        parts.append(replace(part, verdicts=(*map(loop.told, part.verdicts), *loop.unsaid)))
     elif plant is not None and any((asked.stable, asked.margin, asked.sensitivity, asked.disk)):
         said = "asked of the loop itself: give --model and --records"
         of_loop = claimed(replace(asked, limits=()))

@@ -148,23 +148,27 @@ class Judge:
         """How much less likely the records are with the second model than with the first, in -2 log likelihood."""
         return self.of(after).deviance - self.of(before).deviance
 
-    def longer(self, before: Model, after: Model) -> float:
-        """Errors a second and the full run ahead, after over before: geometric mean over channels."""
-        kept = [max(1.0 - c.share, 1e-9) for c in self.between(before, after) if c.horizon != ONE_STEP and c.known]
+    def longer(self, before: Model, after: Model, channel: str | None = None) -> float:
+        """Errors a second and the full run ahead, after over before: geometric mean over channels, or of one."""
+        ahead = [c for c in self.between(before, after) if c.horizon != ONE_STEP and c.known and channel in (None, c.channel)]
+        kept = [max(1.0 - c.share, 1e-9) for c in ahead]
         return float(np.exp(np.mean(np.log(kept)))) if kept else 1.0
 
     def better_ahead(self, given: Model, model: Model) -> Model:
         """The model fitted to free runs, where it errs less a second and the full run ahead and more nowhere; else as it is.
 
-        One step ahead, where a filter forgives most, it may err more by EXCHANGED of the share that it takes off further ahead,
-        as long as the plant as it was `given` errs more still.
+        One step ahead, where a filter forgives most, a channel may err more by EXCHANGED of the share that is taken off its
+        errors further ahead, but not more than under the plant as it was `given`.
         """
         runs = simulated(model)
-        if runs is None or (less := 1.0 - self.longer(model, runs)) < BETTER:
+        if runs is None or self.longer(model, runs) > 1.0 - BETTER:
             return model
-        dear = [c for c in worse(self.between(model, runs)) if c.horizon != ONE_STEP or c.share < -EXCHANGED * less]
         objected = [{(c.channel, c.horizon) for c in worse(self.between(given, m))} for m in (model, runs)]
-        return model if dear or objected[1] - objected[0] else runs
+        for c in worse(self.between(model, runs)):
+            less = 1.0 - self.longer(model, runs, c.channel)
+            if c.horizon != ONE_STEP or c.share < -EXCHANGED * less or (c.channel, c.horizon) in objected[1]:
+                return model
+        return model if objected[1] - objected[0] else runs
 
     def objections(self, what: str, given: Model, model: Model) -> tuple[str, ...]:
         """A sentence for each channel and horizon where a model is worse than the one that it replaces."""

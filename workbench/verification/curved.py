@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from workbench.curves import Curve
 from workbench.data import Channel, Dataset
-from workbench.hammerstein import Model, behind, curves_of, inverted, with_curves
+from workbench.errors import InputError
+from workbench.hammerstein import Model, behind, curves_of, with_curves
 from workbench.lpv import LPVModel
 from workbench.robustness.limits import Limit, LoopLimits
 from workbench.robustness.verdict import Status, Verdict
@@ -20,45 +22,82 @@ from workbench.verification.model import claimed
 
 
 class Behind(NamedTuple):
-    """The loop behind its curves; limits: None where nothing can be proved there. unsaid: verdicts on what cannot."""
+    """The loop behind its curves; limits: None where nothing can be proved there. unsaid: verdicts on what cannot. asked: what
+    limits of f(u) were asked of u, by claim.
+    """
 
     law: Any
     model: LPVModel
     records: Dataset
     limits: LoopLimits | None
     unsaid: tuple[Verdict, ...] = ()
+    asked: Mapping[str, str] = {}
+
+    def told(self, verdict: Verdict) -> Verdict:
+        """The verdict with the limit that was asked for beside that of f(u)."""
+        for inside, asked in self.asked.items():
+            if verdict.claim.startswith(f"{inside} "):
+                return replace(verdict, claim=f"{asked}, {verdict.claim}")
+        return verdict
 
 
 def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) -> Behind:
     """The loop behind the curves of a model; of one without curves the loop itself.
 
-    Raises InputError where the law does not invert the curves of the model, and no others.
+    Raises InputError where the law does not invert the curves of the model, and no others, and for limits of no signal.
     """
-    (law, core), curves = behind(law, model), curves_of(model)
+    (inner, core), curves = behind(law, model), curves_of(model)
     if not curves:
-        return Behind(law, core, records, limits)
+        return Behind(inner, core, records, limits)
+    _check_signals(law, core, limits)
     names = {curve.input: f"f({curve.input})" for curve in curves}
-    law = replace(
-        law, actuated=tuple(names.get(a, a) for a in law.actuated), units={names.get(key, key): u for key, u in law.units.items()}
-    )
+    units = {names.get(key, key): unit for key, unit in inner.units.items()}
+    inner = replace(inner, actuated=tuple(names.get(a, a) for a in inner.actuated), units=units)
     core = replace(core, inputs=_named(core.inputs, names))
     arriving = (with_curves(e, curves) for e in records)
     records = Dataset(tuple(replace(e, channels=_named(e.channels, names)) for e in arriving))
-    if not all(np.array_equal(a.v, b.v) for a, b in zip(curves, inverted(model), strict=True)):
-        said = "a curve of the model stands still somewhere, so that its inverse is not exact: simulate runs the law on the model"
-        return Behind(law, core, records, None, tuple(_undecided(name, core, said) for name in claimed(limits)))
-    kept, unsaid, by_input = [], [], {curve.input: curve for curve in curves}
+    commanded = {curve.input: curve for curve in curves if curve.input in law.actuated}
+    if said := next((why for own in law.curves if (why := _unproved(own, commanded[own.input], law))), ""):
+        return Behind(inner, core, records, None, tuple(_undecided(name, core, said) for name in claimed(limits)))
+    kept, unsaid, asked = [], [], {}
     for own in limits.limits:
-        curve = by_input.get(own.signal)
+        curve = commanded.get(own.signal)
         if curve is None:
             kept.append(own)
             continue
         said = "not proved of a command before a curve: simulate runs the law on the model"
         unsaid += [_undecided(f"{own.signal}: {name}", core, said) for name in own.kept if name not in ("low", "high")]
         if {"low", "high"} & {*own.kept}:
-            low, high = (float(curve(np.array(end))) for end in (own.low, own.high))
-            kept.append(Limit(names[own.signal], low, high, begin=own.begin, unit=own.unit))
-    return Behind(law, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid))
+            inside = Limit(names[own.signal], *(float(curve(np.array(end))) for end in (own.low, own.high)), begin=own.begin)
+            kept.append(inside)
+            for end in inside.kept:
+                asked[f"{inside.signal}: {end} {getattr(inside, end):g}"] = f"{own.signal}: {end} {getattr(own, end):g}"
+    return Behind(inner, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid), asked)
+
+
+def _check_signals(law: Any, core: LPVModel, limits: LoopLimits) -> None:
+    """Refuse limits of signals and in units that the loop does not have, in the names of the file that asks."""
+    units = {c.name: c.unit for c in (*core.inputs, *core.outputs) if c.name in (*law.actuated, *law.measured)}
+    for own in limits.limits:
+        place = f"[limits.{own.signal}]"
+        if own.signal not in units:
+            raise InputError("not a signal of this loop", file=place, mend=f"it has {', '.join(units)}")
+        if own.unit and units[own.signal] and own.unit != units[own.signal]:
+            unit = units[own.signal]
+            raise InputError(f"in {own.unit}, the model has it in {unit}", file=place, mend=f"give the bounds in {unit}")
+
+
+def _unproved(inverted: Curve, found: Curve, law: Any) -> str:
+    """Why nothing is proved of a loop through the inverse of a curve; empty where nothing speaks against it."""
+    if not np.array_equal(inverted.v, found.v):
+        return "a curve of the model stands still somewhere, so that its inverse is not exact: simulate runs the law on the model"
+    i, beyond = law.actuated.index(found.input), 1e-9 * np.ptp(found.u)
+    if law.low[i] < found.u[0] - beyond or law.high[i] > found.u[-1] + beyond:
+        known = f"from {found.u[0]:.4g} to {found.u[-1]:.4g}"
+        return (
+            f"{found.input} may go where the records have not shown its curve, known {known}: design within with --low and --high"
+        )
+    return ""
 
 
 def _undecided(claim: str, model: LPVModel, said: str) -> Verdict:

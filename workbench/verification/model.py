@@ -65,12 +65,13 @@ def opened(method: ErrorRegression, model: LPVModel, records: Dataset) -> Open:
 
 def on_model(
     left: Open, law: Any, limits: LoopLimits, plant: Plant | None = None, *, nodes: int | None = None, rate: float | None = None,
-    progress: Progress = silent,
+    driver: Any = None, progress: Progress = silent,
 ) -> Part:  # fmt: skip
     """Stability at `nodes` schedule values (NODES, of several variables FEWER of each) and, with a rate [1/s], in motion; |S|;
     disk margin; and limits along the run.
 
-    plant: whose nominal run says what the schedule does; without one it goes once over all that the model knows. Raises
+    plant: whose nominal run, under the `driver` (default: the law), says what the schedule does; without one it goes once over
+    all that the model knows. Raises
     InputError for limits that ask for what the loop does not have.
     """
     model, of, several = left.model, f"model {left.model.name}", len(left.model.schedules) > 1
@@ -79,7 +80,7 @@ def on_model(
     if said := without_linear_form(law, compared):
         return Part(TITLE, tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)))
     check_law(model, law)
-    run = _prepared(left, law, limits, plant) if limits.limits and limits.run is not None else None
+    run = _prepared(left, law, limits, plant, driver or law) if limits.limits and limits.run is not None else None
     found = _Found([], [], {})
     if limits.stable or limits.margin is not None:
         _stability(found, left, law, limits, nodes, rate, of, progress)
@@ -277,14 +278,14 @@ class _Run:
     along: str
 
 
-def _prepared(left: Open, law: LinearLaw, limits: LoopLimits, plant: Plant | None) -> _Run:
+def _prepared(left: Open, law: LinearLaw, limits: LoopLimits, plant: Plant | None, driver: Any) -> _Run:
     """What the limits ask, checked before anything is computed. Raises InputError for what the loop does not have."""
     run, model = limits.run, left.model
     assert run is not None
     if run.start and plant is None:
         raise InputError("start is of a plant", file="[run]", mend="leave it out, or give --plant: a model begins at rest")
     references = _references(run, law)
-    rho = _schedule(model, law, run, plant, len(references))
+    rho = _schedule(model, driver, run, plant, len(references))
     channels, bounds = {c.name: c for c in (*model.outputs, *model.inputs)}, []
     for limit in limits.limits:
         place = f"[limits.{limit.signal}]"

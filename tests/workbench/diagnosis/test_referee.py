@@ -193,6 +193,14 @@ def test_free_runs_that_err_less_may_cost_a_little_one_step_ahead(monkeypatch, o
             after = zip(("one-step", "one-second", "full-run"), (one_step, one_second, full_run), strict=True)
             return tuple(Change("y", horizon, "m", 1.0, value, True) for horizon, value in after)
 
+    # what the likelihood's fit already errs more by than the plant that came may not grow for a gain further ahead
+    class Worse(Known):
+        def between(self, before, after):
+            if before is given:
+                return (Change("y", "one-step", "m", 1.0, 1.12 if after is runs else 1.05, True),)
+            return super().between(before, after)
+
+    assert Worse(records(1), held_out=True).better_ahead(given, model) is (runs if one_step <= 1.0 and taken else model)
     judge = Known(records(1), held_out=True)
     assert judge.better_ahead(given, model) is (runs if taken else model)
     assert judge.better_ahead(given, runs) is runs  # where no free run can be fitted

@@ -287,7 +287,7 @@ def test_the_command_identifies_compares_and_designs(fan, tmp_path, capsys):
     model = str(tmp_path / "o" / "hammerstein.json")
     assert main(["compare", model, "--holdout", files[2], "--out", str(tmp_path / "c")]) == 0
     assert main(["design", "pid", "--model", model, "--out", str(tmp_path / "d")]) == 0
-    assert "note: the curve stands still about u = -" in capsys.readouterr().out  # a fan does not turn backwards
+    assert "note: the curve of u stands still from -" in capsys.readouterr().out  # a fan does not turn backwards
 
 
 @pytest.mark.slow
