@@ -53,9 +53,10 @@ class ScheduledPIDDesign:
     the proportional part. feedforward: whether a new set-point commands at once what holds it. reference_model [rad/s]: bandwidth
     of what a set-point goes through by output, infinite for nothing; where none is given `on` chooses, see `calmed`. slew [1/s]:
     largest rate of a set-point by output, infinite for none; where none is given, what the limits keep up on a model that
-    integrates. Margins are the same with all of these. objective: "variance", or "integral" for the
-    most integral action. load: size of load steps by input, each one on average every load_every s; size: deviations that count
-    as equally large by output; see `design_pid` for what is left out. robust_to: models that must be kept too.
+    integrates. Margins are the same with all of these. objective: "variance", or "integral" for the most integral action. moving:
+    whether the gains move with the schedule, or only what is commanded at rest and the feedforward. load: size of load steps by
+    input, each one on average every load_every s; size: deviations that count as equally large by output; see `design_pid` for
+    what is left out. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(0.0).Kp.round(2)
         array([[0.41]])
@@ -79,6 +80,7 @@ class ScheduledPIDDesign:
     load: Numbers = field(default_factory=dict)
     load_every: float | None = None
     size: Numbers = field(default_factory=dict)
+    moving: bool = True
     robust_to: tuple[LPVModel, ...] = ()
 
     def __post_init__(self):
@@ -117,7 +119,8 @@ class ScheduledPIDDesign:
         limits = dict(zip(commands, let_through(curves, [c.name for c in model.inputs], **commands), strict=True))
         self._shaping(model)  # refuses outputs that the model does not have before any work
         structure = Structure(
-            derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward, **limits
+            derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward,
+            moving=self.moving, **limits
         )  # fmt: skip
         bounds = Bounds(self.sensitivity, self.complementary, self.effort)
         found = design_pid(

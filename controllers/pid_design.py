@@ -10,9 +10,11 @@ Frozen margins say nothing about a schedule that moves fast; that is a matter of
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,7 +123,8 @@ class PIDDesign:
     same of the law for that knot only. scale (ny): what the outputs were counted in. Ka [s]: feedforward of the rates of
     reference models, for when the law is given some. deviation, least (n, ny): standard deviations of the outputs at the knots
     under noise and `loads`, and under the linear law, of whatever order and margins, that makes the sum of their squares least,
-    outputs in units of `scale`; None where outputs see the command of their own sample.
+    outputs in units of `scale`; None where outputs see the command of their own sample. unmoved (n, ny): the first of these under
+    the best law within the bounds whose gains do not move with the schedule; None where there is none, or none was sought.
 
         >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
         >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
@@ -140,6 +143,17 @@ class PIDDesign:
     loads: Loads = field()
     deviation: np.ndarray = field("n ny")
     least: np.ndarray | None = None
+    unmoved: np.ndarray | None = None
+
+    @property
+    def gained(self) -> float:
+        """What moving gains take off the outputs' standard deviations, as a share, root mean square over knots and outputs; NaN
+        where no law whose gains stand still is known.
+        """
+        if self.unmoved is None:
+            return np.nan
+        ratio = np.sum((self.deviation / self.scale) ** 2) / np.sum((self.unmoved / self.scale) ** 2)
+        return 1.0 - float(np.sqrt(ratio))
 
     def following(self, bandwidth: np.ndarray | float, slew: np.ndarray | float = np.inf) -> ScheduledPID:
         """The law with reference models of this bandwidth (ny,) [rad/s], infinite for none, and slew limits (ny,) [1/s].
@@ -155,7 +169,7 @@ class Structure:
 
     Tf None: two samples. allowed (nu, ny): entries that may differ from 0. b: set-point weight of the proportional part.
     feedforward: Kr = P(0)^-1 commands what holds the set-point before there is an error; where entries must be 0, what comes
-    nearest to it.
+    nearest to it. moving: whether Kp, Ki and Kd move with the schedule, or feedforward alone.
     """
 
     derivative: bool = True
@@ -163,6 +177,7 @@ class Structure:
     allowed: np.ndarray | None = None
     b: float = field("", low=0.0, high=1.0, default=1.0)
     feedforward: bool = True
+    moving: bool = True
     low: np.ndarray | None = None
     high: np.ndarray | None = None
     rate: np.ndarray | None = None
@@ -223,24 +238,52 @@ def design_pid(
         found = quietest(variance, Task(tuning), starts) if quiet else None
         knots.append(first.X if found is None else found)
         say(f"{plan.place(rho)}: up to {alone[-1]:.3g} 1/s of integral action")
-    X = np.concatenate(knots, axis=1)
-    lines = _finer(axes, 2)
-    rhos, path = mesh(lines), [X]
+    still, also = None, []
+    if quiet and len(grid) > 1 and plan.structure.moving:
+        unmoving = copy(plan)
+        unmoving.structure = replace(plan.structure, moving=False)
+        with suppress(InputError):  # no gains keep the bounds everywhere
+            still = _kept(unmoving, held, knots, knots, np.array(alone), omega, quiet)
+            also = [np.repeat(still.X, len(grid), axis=1)]  # a special case, than which nothing ends worse
+    path = [np.concatenate(knots, axis=1)] if plan.structure.moving else knots
+    found = _kept(plan, held, path, [path[-1], *also] if plan.structure.moving else knots, np.array(alone), omega, quiet, say)
+    unmoved = None if still is None else plan.deviations(still.X)[0]
+    return PIDDesign(
+        found.law, objective, bounds, found.margins, grid, plan.low_frequency(found.law), np.array(alone), plan.scale,
+        plan.followed[2], plan.loads, *plan.deviations(found.X), unmoved,
+    )  # fmt: skip
+
+
+class _Kept(NamedTuple):
+    X: np.ndarray
+    law: ScheduledPID
+    margins: Margins
+
+
+def _kept(
+    plan: "_Plan", held: np.ndarray, path: Sequence[np.ndarray], starts: Sequence[np.ndarray], alone: np.ndarray,
+    omega: np.ndarray, quiet: bool, say: Say = lambda _: None,
+) -> _Kept:  # fmt: skip
+    """Gains for all of the schedule, from `starts` or from `path` on, refined until margins are kept between the knots too.
+
+    Raises InputError where they are not.
+    """
+    lines = _finer(plan.axes, 2)
+    rhos, X = mesh(lines), path[-1]
     for attempt in range(REFINEMENTS):
-        if len(grid) > 1 or attempt:
-            tuning, variance = plan.program(rhos, plan.basis(rhos), omega, np.exp(plan.basis(rhos) @ np.log(alone)))
-            path = _improved(tuning, variance if quiet else None, path, REFINED if attempt else ENOUGH)
+        if len(plan.grid) > 1 or attempt:
+            goals = np.exp(plan.hats(rhos) @ np.log(alone))
+            tuning, variance = plan.program(rhos, plan.basis(rhos), omega, goals)
+            path = _improved(
+                tuning, variance if quiet else None, path, path[-1:] if attempt else starts, REFINED if attempt else ENOUGH
+            )
             X = path[-1]
         law, checked = plan.law(X, held), mesh(_finer(lines, BETWEEN))
         margins = plan.margins(law, checked)
-        bad = margins.broken(bounds)
+        bad = margins.broken(plan.bounds)
         if not bad.any():
-            reached = plan.low_frequency(law)
             say(f"{len(checked)} schedule values checked: |S| at most {margins.sensitivity.max():.3f}")
-            return PIDDesign(
-                law, objective, bounds, margins, grid, reached, np.array(alone), plan.scale, plan.followed[2],
-                plan.loads, *plan.deviations(X),
-            )  # fmt: skip
+            return _Kept(X, law, margins)
         say(f"bounds broken at {bad.sum()} of {len(checked)} schedule values between: refined")
         worst = plan.worst(margins, lines)
         rhos = np.unique(np.concatenate([rhos, checked[worst]]), axis=0)
@@ -251,15 +294,17 @@ def design_pid(
         f"after {REFINEMENTS} refinements the loop still breaks its bounds at {plan.place(checked[bad][0])}: "
         f"|S| {margins.sensitivity[bad][0]:.3f}, |T| {margins.complementary[bad][0]:.3f}, effort {margins.effort[bad][0]:.3f}, "
         f"largest pole {margins.radius[bad][0]:.4f}",
-        file=model.name,
-        mend="loosen the bounds, or give more knots",
+        file=plan.model.name,
+        mend="loosen the bounds, or give more knots" if plan.structure.moving else "loosen the bounds, or let the gains move",
     )
 
 
-def _improved(tuning: Tuning, variance: Variance | None, path: Sequence[np.ndarray], enough: float) -> Sequence[np.ndarray]:
-    """Gains within the bounds that lead on from the last of `path`: to least variance, without one to most integral action."""
+def _improved(
+    tuning: Tuning, variance: Variance | None, path: Sequence[np.ndarray], starts: Sequence[np.ndarray], enough: float
+) -> Sequence[np.ndarray]:
+    """Gains within the bounds: of least variance from these starts, else of most integral action from the last of `path` on."""
     task = Task(tuning)
-    if variance and (found := quietest(variance, task, path[-1:])) is not None:
+    if variance and (found := quietest(variance, task, starts)) is not None:
         return [found]
     path = list(tune(tuning, starts=path[::-1], enough=enough).path)
     return [found] if variance and (found := quietest(variance, task, path[-1:])) is not None else path
@@ -357,8 +402,13 @@ class _Plan:
         factors = tuple(PiecewiseLinear(own) for own in self.axes)
         return CONSTANT if self.fixed else factors[0] if len(factors) == 1 else Products(factors)
 
-    def basis(self, rhos: np.ndarray) -> np.ndarray:
+    def hats(self, rhos: np.ndarray) -> np.ndarray:
+        """Weights (n, m) of what is known at the knots."""
         return np.ones((len(rhos), 1)) if self.fixed else self.surface()(rhos)
+
+    def basis(self, rhos: np.ndarray) -> np.ndarray:
+        """Weights of the gains' coefficients: those of the knots, or one for gains that do not move."""
+        return self.hats(rhos) if self.structure.moving else np.ones((len(rhos), 1))
 
     def program(self, rhos, weights, omega, goals=None) -> tuple[Tuning, Variance]:
         """What one design tunes, every model at every one of these schedule values, and the variance there."""
@@ -396,8 +446,12 @@ class _Plan:
         return Variance([own.disturbed(self.loads) for own in plants], weights, self.model.dt, self.Tf)
 
     def deviations(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """Standard deviations (m, ny) of the outputs at the knots, in their units, and under the best of all linear laws."""
-        reached = self.variance(self.points, self.basis(self.grid)).covariance(X)
+        """Standard deviations (n, ny) of the outputs at the knots, in their units, and under the best of all linear laws.
+
+        X: of all knots, or of gains that do not move.
+        """
+        weights = self.hats(self.grid) if X.shape[1] == len(self.grid) else np.ones((len(self.grid), 1))
+        reached = self.variance(self.points, weights).covariance(X)
         least = [own.disturbed(self.loads).least() for own in self.points]
         spread = lambda own: self.scale * np.sqrt(np.diagonal(np.array(own), axis1=1, axis2=2))  # noqa: E731
         return spread(reached), None if any(own is None for own in least) else spread(least)
@@ -407,7 +461,7 @@ class _Plan:
         model, structure = self.model, self.structure
         nu, ny, schedule = len(model.inputs), len(model.outputs), tuple(c.name for c in model.schedules)
         span = np.array([[own[0], own[-1]] for own in self.axes])
-        Kp, Ki, *rest = X / self.scale
+        Kp, Ki, *rest = np.broadcast_to(X, (len(X), len(self.grid), *X.shape[2:])) / self.scale
         Kr, u0 = self.steady_inputs(held)
         u0 = u0 + (1.0 - structure.b) * np.einsum("iuy,iy->iu", Kp, held)  # what Kp (b r - y) leaves there
         each = lambda given, default: np.broadcast_to(np.asarray(default if given is None else given, dtype=float), nu)  # noqa: E731

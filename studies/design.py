@@ -37,6 +37,7 @@ from workbench.steady import rests
 from workbench.verification.trial import OVERSHOOT, Trial, tried
 
 Say = Callable[[str], None]
+GAINED = 0.02  # of the deviations that gains must take off by moving, not to be called the same as fixed ones
 KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 
 
@@ -71,7 +72,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
         over = worst_margins(inner, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
-    moved = _deviations_said(found, model)
+    moved = _deviations_said(found, model, options.fixed_gains)
     for sentence in moved:
         say(sentence)
     if said := _setpoints_said(found.law, model, wanted, trial):
@@ -93,7 +94,8 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
     result = {
         "kind": kind, "objective": found.objective, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
         "integral_action": {"reached": found.low_frequency, "alone": found.alone},
-        "deviation": {"loads": vars(found.loads), "reached": found.deviation, "best_linear_law": found.least},
+        "deviation": {"loads": vars(found.loads), "reached": found.deviation, "best_linear_law": found.least,
+                      "fixed_gains": found.unmoved},
         "trial": vars(trial),
     }  # fmt: skip
     read = [options.model, *options.robust_to, *(chosen.files if chosen else ())]
@@ -216,6 +218,7 @@ def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesig
         options.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
         filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
+        moving=not options.fixed_gains,
         reference_model=_given(options.reference_model), slew=_given(options.slew),
         objective=options.objective, load=_given(options.load), load_every=options.load_every, size=_given(options.size),
         robust_to=tuple(load_model(path) for path in options.robust_to),
@@ -389,8 +392,11 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
 
 
-def _deviations_said(found: PIDDesign, model: LPVModel) -> list[str]:
-    """How far noise and load steps move the outputs, and what is left for any other linear law."""
+def _deviations_said(found: PIDDesign, model: LPVModel, fixed: bool) -> list[str]:
+    """How far noise and load steps move the outputs, what is left for any other linear law, and what moving gains take off.
+
+    fixed: they were asked to stand still.
+    """
     steps = ", ".join(f"{c.name} {size:.3g} {c.unit}".rstrip() for c, size in zip(model.inputs, found.loads.size, strict=True))
     noise = "the model's noise and " if model.noise is not None and np.any(model.noise) else ""
     over = " over the schedule" if len(found.knots) > 1 else ""
@@ -402,6 +408,13 @@ def _deviations_said(found: PIDDesign, model: LPVModel) -> list[str]:
     said = [f"RMS under {noise}load steps ({steps}; every {found.loads.every:.3g} s): {told(found.deviation)}{over}"]
     if found.least is not None:
         said.append(f"RMS of the best linear law of any order, margins aside: {told(found.least)}{over}")
+    if found.unmoved is not None:
+        less = f"moving gains take {max(found.gained, 0.0):.1%} off"
+        said.append(f"RMS with gains that do not move, within the same bounds: {told(found.unmoved)}{over}; {less}")
+        if found.gained < GAINED:
+            said.append("the gains need not move: with --fixed-gains the feedforward alone does")
+    elif len(found.knots) > 1 and found.objective == "variance" and not fixed:
+        said.append("no gains that do not move keep these bounds over the schedule")
     return said
 
 

@@ -174,6 +174,9 @@ def _design(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--slew", action="append", default=[], metavar="Y=V,..", help="largest rate of its set-point, per second")
     sub.add_argument(
+        "--fixed-gains", action="store_true", help="a scheduled law of which only the feedforward moves with the schedule"
+    )
+    sub.add_argument(
         "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"
     )
     sub.add_argument("--plant", metavar="PLANT", help=f"try the law on it, not on the model; nmpc predicts with it: {PLANT_HELP}")
