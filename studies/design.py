@@ -277,7 +277,7 @@ def _curves_said(law: ScheduledPID, model: Model) -> list[str]:
         said.append(f"{curve.input} through the inverse of its curve, {known}: gains and margins are of what arrives")
         at = law.actuated.index(curve.input)
         if law.low[at] < curve.u[0] or law.high[at] > curve.u[-1]:
-            said.append(f"note: {curve.input} may go where the records have not shown its curve: it goes on as a straight line")
+            said.append(f"note: {curve.input} may go where the records have not shown its curve: there check proves nothing")
         if not np.array_equal(curve.v, own.v):
             flat = np.flatnonzero(own.slopes < own.flattest)
             where = f"from {own.u[flat[0]]:.3g} to {own.u[flat[-1] + 1]:.3g} {unit}".rstrip()

@@ -240,14 +240,16 @@ def behind(law: Any, model: Model) -> tuple[Any, LPVModel]:
     core, own = core_of(model), {curve.input: curve for curve in law.curves} if hasattr(law, "inside") else {}
     known = {curve.input: _inverted(curve, model) for curve in curves_of(model) if curve.input in law.actuated}
     for name in dict.fromkeys([*known, *own]):
+        mend = "give the model that it was designed on"
         if name not in own:
-            mend = "design a PID on this model: it inverts the curve"
-            raise InputError(f"{law.name} knows nothing of the curve of {name}", file=model.name, channel=name, mend=mend)
-        if name not in known or not _same(own[name], known[name]):
-            mend = "give the model that it was designed on"
-            raise InputError(
-                f"{law.name} inverts another curve of {name} than the model has", file=model.name, channel=name, mend=mend
-            )
+            said, mend = f"{law.name} knows nothing of the curve of {name}", "design a PID on this model: it inverts the curve"
+        elif name not in known:
+            said = f"{law.name} inverts a curve of {name}, the model has none"
+        elif not _same(own[name], known[name]):
+            said = f"{law.name} inverts another curve of {name} than the model has"
+        else:
+            continue
+        raise InputError(said, file=model.name, channel=name, mend=mend)
     return (law.inside, core) if own else (law, core)
 
 

@@ -69,8 +69,8 @@ def head_lines(law: ScheduledPID) -> list[str]:
     m, rate = ("m", " + KA n") if law.shaped else ("r", "")
     wanted, arrives = ("the command of which v arrives,", "(what arrives of u)") if law.curves else ("v", "u")
     shaping = [
-        "s  = r within SLEW PERIOD of the last s; at the start it is r",
-        "m, n = MODEL (m-, n-, s): a critically damped reference model and its rate; it starts from rest at r",
+        "s  = r within SLEW PERIOD of the last s; at the start the last s is y",
+        "m, n = MODEL (m-, n-, s): a critically damped reference model and its rate; it starts from rest at y",
     ]
     return [
         f"PID law '{law.name}' by {program()}. Change the law there, not this text.",

@@ -334,19 +334,27 @@ def _others(late: bool, models: Mapping[str, Model], records: Dataset, progress:
     said = []
     if late:
         said.append(f"note: no free run has a FIT of {GOOD:g}: --model {LATE} fits free runs over the schedule, in minutes")
-    if CURVES in models or sum(map(len, records)) > FEW:
+    if CURVES in models:
         return said
+    total = sum(map(len, records))
+    part = records if total <= FEW else _beginnings(records, FEW / total)
     progress(f"{CURVES}: looked for, no free run has a FIT of {GOOD:g}")
     try:
-        seen = HammersteinWiener().look(records)
+        seen = HammersteinWiener().look(part)
     except InputError:
         return said
     if (seen.nodes or seen.unsigned) and MUCH_BETTER * (100.0 - seen.plain) > 100.0 - seen.FIT:
         signs = f" and signs of {', '.join(seen.unsigned)}" if seen.unsigned else ""
         what = f"static curves of the inputs{signs}" if seen.nodes else signs.removeprefix(" and ")
         fits = f"a FIT of {seen.FIT:.1f}, without of {seen.plain:.1f}"
-        said.append(f"note: with {what} free runs on parts of these records have {fits}: --model {CURVES}")
+        these = "these records" if part is records else f"the first {sum(map(len, part))} of {total} samples"
+        said.append(f"note: with {what} free runs on parts of {these} have {fits}: --model {CURVES}")
     return said
+
+
+def _beginnings(records: Dataset, share: float) -> Dataset:
+    """The first share of every record."""
+    return Dataset(tuple(e.trim(stop=float(e.t[round(share * len(e))])) for e in records))
 
 
 def _chosen_of(choice: Choice) -> list[str]:

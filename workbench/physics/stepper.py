@@ -271,9 +271,9 @@ def _every(plant: Plant, controller: Controller | Stepped) -> int:
         )
     if plant.discrete and controller.measured:
         raise InputError(
-            f"controller {controller.name!r} would read outputs of {plant.name!r} that its commands of the same sample move",
+            f"it is known at its samples alone: as a plant it runs under given inputs, and not under {controller.name!r}",
             file=plant.name,
-            mend="a discrete plant is driven by given inputs only",
+            mend="of an identified model: workbench simulate FILE --controller .. --setpoint Y=V, check --model FILE",
         )
     return every
 

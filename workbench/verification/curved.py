@@ -32,13 +32,20 @@ class Behind(NamedTuple):
     limits: LoopLimits | None
     unsaid: tuple[Verdict, ...] = ()
     asked: Mapping[str, str] = {}
+    curves: tuple[str, ...] = ()
 
     def told(self, verdict: Verdict) -> Verdict:
-        """The verdict with the limit that was asked for beside that of f(u)."""
-        for inside, asked in self.asked.items():
-            if verdict.claim.startswith(f"{inside} "):
-                return replace(verdict, claim=f"{asked}, {verdict.claim}")
-        return verdict
+        """The verdict with the limits that were asked for before those of f(u), and with what it takes for granted."""
+        if not self.curves:
+            return verdict
+        claims = [f"{asked} ({own})" if (asked := self._asked(own)) else own for own in verdict.claim.split(", ")]
+        numbers = f"; numbers are of {', '.join(f'f({name})' for name in self.curves)}" if any(map(self._asked, claims)) else ""
+        granted = f"; the curve of {' and '.join(self.curves)} is taken to be as it was found"
+        return replace(verdict, claim=", ".join(claims), sentence=f"{verdict.sentence}{numbers}{granted}")
+
+    def _asked(self, claim: str) -> str:
+        """What was asked of u by a claim of f(u); empty for every other one."""
+        return next((asked for inside, asked in self.asked.items() if f"{inside} " in f"{claim} "), "")
 
 
 def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) -> Behind:
@@ -72,7 +79,7 @@ def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) ->
             kept.append(inside)
             for end in inside.kept:
                 asked[f"{inside.signal}: {end} {getattr(inside, end):g}"] = f"{own.signal}: {end} {getattr(own, end):g}"
-    return Behind(inner, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid), asked)
+    return Behind(inner, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid), asked, tuple(names))
 
 
 def _check_signals(law: Any, core: LPVModel, limits: LoopLimits) -> None:

@@ -299,6 +299,15 @@ def test_identify_speaks_of_curves_where_linear_models_do_badly(fan):
 
 
 @pytest.mark.slow
+def test_of_long_records_the_beginnings_are_looked_at():
+    """More data must not mean less help."""
+    machine = Machine(11, "square")
+    long = [machine.record(name, 3000)[0] for name in "abc"]
+    remarks = wb.identify(Dataset(tuple(long[:2])), Dataset((long[2],))).remarks
+    assert any("of the first 5000 of 6000 samples" in remark and "--model hammerstein" in remark for remark in remarks)
+
+
+@pytest.mark.slow
 def test_identify_takes_signs_where_nothing_else_follows(counter):
     data, held, best, _ = counter
     found = wb.identify(data, held)

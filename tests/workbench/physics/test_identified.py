@@ -222,5 +222,5 @@ def test_a_controller_that_reads_the_outputs_is_refused():
         pass
 
     player = Feedback(("V1",), DT, measured=("w",))
-    with pytest.raises(InputError, match="given inputs only"):
+    with pytest.raises(InputError, match="runs under given inputs, and not under"):
         simulate(PLANT, player, Scenario("closed", {"V1": np.zeros(5)}))
