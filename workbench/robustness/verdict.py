@@ -241,6 +241,11 @@ def _explained(course: Course) -> np.ndarray:
     return np.abs(course.C).max(axis=(0, 2), initial=0.0) > 0.0
 
 
+def _noisy(course: Course) -> bool:
+    """Whether errors act that no parameter explains."""
+    return bool((course.lam[:, ~_explained(course)] > 0.0).any())
+
+
 def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
     """Runs with constant parameters (R p), each from its own rests, without errors that no parameter explains.
 
@@ -260,7 +265,7 @@ def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[B
     i = course.number(bound.signal)
     excess = _excess(constant.v, bound, i, _linear_until(course, constant.v, stops))
     best = constant.row(int(excess.max(axis=1).argmax()))
-    if not (course.lam[:, ~_explained(course)] > 0.0).any():
+    if not _noisy(course):
         return best
     fixed = course.at(best.delta[0, 0])
     errors = _moving_runs(fixed, best.v[0], bound)
@@ -330,13 +335,15 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried, until:
         found = Verdict(bound.claim, proved.of, status, margin, unit, said, every=every)
         return Kept(bound, found, tried.row(row), k)
 
-    moving = tried is furthest
+    moving, noisy = tried is furthest, _noisy(course)
     limits = np.concatenate([bound.low[np.isfinite(bound.low)], bound.high[np.isfinite(bound.high)]])
     if reached > SLACK * float(max(np.abs(outer.nominal.v[:, i]).max(), np.abs(limits).max())):
         who = "parameters that move within their boxes" if moving else "constant parameters that no record refutes"
+        who += " and noise in the worst order" * noisy
         return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s")
     if until == len(course) and free == len(course):
         begun = "from the rest of any machine of the boxes" if course.before else "from its start"
+        begun += ", and whatever the noise does" if noisy else ", without noise"
         said = (
             f"whatever the parameters do at {len(course)} samples, {begun}; the worst sequences found leave {-beyond:.3g} {unit}"
         )
