@@ -239,6 +239,11 @@ def test_inputs_that_the_law_does_not_command_keep_their_curves(model):
     run = hold(two, law, {"y": 1.0}, 400, None)
     assert run["y"][-1] == pytest.approx(1.0, abs=1e-3)
     assert np.ptp(run["d"]) == 0.0
+    records = Dataset((Experiment.from_arrays("r", DT, inputs={"d": run["u"], "u": run["u"]}, outputs={"y": run["y"]}),))
+    alone = replace(two, curves=two.curves[:1])  # a law that commands no curve may be of any kind
+    loop = as_arriving(SimpleNamespace(name="mine", actuated=("u",)), alone, records, limits_of({"loop": {"stable": True}}))
+    np.testing.assert_array_equal(loop.records.experiments[0]["d"], two.curves[0](run["u"]))
+    np.testing.assert_array_equal(loop.records.experiments[0]["u"], run["u"])
     both = replace(
         pid(("u", "d"), ("y", "y2"), ("a", "b"), DT, Kp=np.eye(2), Ki=np.eye(2), low=(-3.0, -1.0), high=(3.0, 0.5)),
         curves=(Curve("d", [-1.0, 0.5], [-2.0, 7.0]), SQUARE),

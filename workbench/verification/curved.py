@@ -56,14 +56,17 @@ def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) ->
     (inner, core), curves = behind(law, model), curves_of(model)
     if not curves:
         return Behind(inner, core, records, limits)
+    taken = tuple(curve.input for curve in curves)
+    records = Dataset(tuple(with_curves(e, curves) for e in records))
+    commanded = {curve.input: curve for curve in curves if curve.input in law.actuated}
+    if not commanded:
+        return Behind(inner, core, records, limits, curves=taken)
     _check_signals(law, core, limits)
-    names = {curve.input: f"f({curve.input})" for curve in curves}
+    names = {name: f"f({name})" for name in commanded}
     units = {names.get(key, key): unit for key, unit in inner.units.items()}
     inner = replace(inner, actuated=tuple(names.get(a, a) for a in inner.actuated), units=units)
     core = replace(core, inputs=_named(core.inputs, names))
-    arriving = (with_curves(e, curves) for e in records)
-    records = Dataset(tuple(replace(e, channels=_named(e.channels, names)) for e in arriving))
-    commanded = {curve.input: curve for curve in curves if curve.input in law.actuated}
+    records = Dataset(tuple(replace(e, channels=_named(e.channels, names)) for e in records))
     if said := next((why for own in law.curves if (why := _unproved(own, commanded[own.input], law))), ""):
         return Behind(inner, core, records, None, tuple(_undecided(name, core, said) for name in claimed(limits)))
     kept, unsaid, asked = [], [], {}
@@ -79,7 +82,7 @@ def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) ->
             kept.append(inside)
             for end in inside.kept:
                 asked[f"{inside.signal}: {end} {getattr(inside, end):g}"] = f"{own.signal}: {end} {getattr(own, end):g}"
-    return Behind(inner, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid), asked, tuple(names))
+    return Behind(inner, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid), asked, taken)
 
 
 def _check_signals(law: Any, core: LPVModel, limits: LoopLimits) -> None:
