@@ -243,10 +243,10 @@ def design_pid(
         unmoving = copy(plan)
         unmoving.structure = replace(plan.structure, moving=False)
         with suppress(InputError):  # no gains keep the bounds everywhere
-            still = _kept(unmoving, held, knots, knots, np.array(alone), omega, quiet)
+            still = _kept(unmoving, held, knots, np.array(alone), omega, quiet)
             also = [np.repeat(still.X, len(grid), axis=1)]  # a special case, than which nothing ends worse
-    path = [np.concatenate(knots, axis=1)] if plan.structure.moving else knots
-    found = _kept(plan, held, path, [path[-1], *also] if plan.structure.moving else knots, np.array(alone), omega, quiet, say)
+    starts = [*also, np.concatenate(knots, axis=1)] if plan.structure.moving else knots
+    found = _kept(plan, held, starts, np.array(alone), omega, quiet, say)
     unmoved = None if still is None else plan.deviations(still.X)[0]
     return PIDDesign(
         found.law, objective, bounds, found.margins, grid, plan.low_frequency(found.law), np.array(alone), plan.scale,
@@ -261,15 +261,15 @@ class _Kept(NamedTuple):
 
 
 def _kept(
-    plan: "_Plan", held: np.ndarray, path: Sequence[np.ndarray], starts: Sequence[np.ndarray], alone: np.ndarray,
-    omega: np.ndarray, quiet: bool, say: Say = lambda _: None,
+    plan: "_Plan", held: np.ndarray, starts: Sequence[np.ndarray], alone: np.ndarray, omega: np.ndarray, quiet: bool,
+    say: Say = lambda _: None,
 ) -> _Kept:  # fmt: skip
-    """Gains for all of the schedule, from `starts` or from `path` on, refined until margins are kept between the knots too.
+    """Gains for all of the schedule, from the best of `starts`, refined until margins are kept between the knots too.
 
     Raises InputError where they are not.
     """
     lines = _finer(plan.axes, 2)
-    rhos, X = mesh(lines), path[-1]
+    rhos, path = mesh(lines), starts
     for attempt in range(REFINEMENTS):
         if len(plan.grid) > 1 or attempt:
             goals = np.exp(plan.hats(rhos) @ np.log(alone))
@@ -277,8 +277,7 @@ def _kept(
             path = _improved(
                 tuning, variance if quiet else None, path, path[-1:] if attempt else starts, REFINED if attempt else ENOUGH
             )
-            X = path[-1]
-        law, checked = plan.law(X, held), mesh(_finer(lines, BETWEEN))
+        law, checked = plan.law(X := path[-1], held), mesh(_finer(lines, BETWEEN))
         margins = plan.margins(law, checked)
         bad = margins.broken(plan.bounds)
         if not bad.any():

@@ -285,7 +285,7 @@ class ScheduledPID:
         """Plain numbers, readable without the package; a limit that is not there is null."""
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
         shaping = {"slew": finite(self.slew), "bandwidth": finite(self.bandwidth), "Ka": self.Ka, "version": SHAPED_VERSION}
-        curves = {"curves": [{"input": c.input, "u": c.u, "v": c.v} for c in self.curves], "version": CURVED_VERSION}
+        curves = {"curves": [curve.to_dict() for curve in self.curves], "version": CURVED_VERSION}
         return {
             "kind": KIND,
             "law": self.sentence,
@@ -313,7 +313,7 @@ class ScheduledPID:
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=schedule, name=content["name"], units=dict(content.get("units", {})), span=_ends(content["span"]),
             **{key: unlimited(content[key], np.inf) for key in ("slew", "bandwidth") if key in content},
-            Ka=content.get("Ka", 0.0), curves=tuple(Curve(c["input"], c["u"], c["v"]) for c in own_curves),
+            Ka=content.get("Ka", 0.0), curves=tuple(map(Curve.from_dict, own_curves)),
         )  # fmt: skip
 
     def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:

@@ -90,7 +90,7 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
         "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
         "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
-        **shaping, **({"curves": [{"input": c.input, "u": c.u, "v": c.v} for c in law.curves]} if law.curves else {}),
+        **shaping, **({"curves": [curve.to_dict() for curve in law.curves]} if law.curves else {}),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
         "largest_difference": _differences(axes, rows, lambda rho: _gains(law, rho)),

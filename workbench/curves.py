@@ -57,7 +57,7 @@ class Curve:
             mend = "take the nearest curve that rises: invertible"
             raise InputError("the curve does not rise everywhere: some v have several u, or none", channel=self.input, mend=mend)
 
-    @property
+    @cached_property
     def back(self) -> "Curve":
         """The curve from v to u. Raises InputError for one that does not rise everywhere."""
         self.check_rising()
@@ -99,11 +99,20 @@ class Curve:
             raise InputError(said, channel=self.input, mend="keep the commands where it rises, or control without an inverse")
         return Curve(self.input, self.u, near)
 
-    @property
+    @cached_property
     def bends(self) -> np.ndarray:
         """u and v of the first node, the slope after it, then u and change of slope of each one between: what `bent` takes."""
         inner = np.column_stack([self.u[1:-1], np.diff(self.slopes)]).ravel()
         return np.concatenate([[self.u[0], self.v[0], self.slopes[0]], inner])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its input and nodes as plain values."""
+        return {"input": self.input, "u": self.u, "v": self.v}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> "Curve":
+        """The curve that `to_dict` wrote."""
+        return cls(content["input"], content["u"], content["v"])
 
     def _segment(self, u: np.ndarray) -> np.ndarray:
         return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)

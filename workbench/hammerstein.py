@@ -188,7 +188,7 @@ class HammersteinWienerModel:
             "schema": SCHEMA,
             "version": VERSION,
             "name": self.name,
-            "curves": [{"input": c.input, "u": c.u, "v": c.v} for c in self.curves],
+            "curves": [curve.to_dict() for curve in self.curves],
             "unsigned": list(self.unsigned),
             "core": self.core.to_dict(),
             "noise": self.noise,
@@ -298,7 +298,7 @@ def load_hammerstein(path) -> HammersteinWienerModel:
         return HammersteinWienerModel(
             content["name"],
             model_from_dict(content["core"]),
-            tuple(Curve(c["input"], c["u"], c["v"]) for c in content["curves"]),
+            tuple(map(Curve.from_dict, content["curves"])),
             tuple(content["unsigned"]),
             None if content["noise"] is None else np.array(content["noise"]),
             tuple(content["trained_on"]),

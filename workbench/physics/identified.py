@@ -47,8 +47,8 @@ def identified(model: Model) -> Plant:
     the inputs already; what the model remembers of it are states. A channel in rad/s turns something, whose angle is followed.
     Raises InputError for a schedule that is an output too.
     """
-    whole = model
-    model = model if isinstance(model, LPVModel) else model.core
+    name, curves = model.name, {curve.input: curve for curve in curves_of(model)}
+    model, unsigned = (model, ()) if isinstance(model, LPVModel) else (model.core, model.unsigned)
     check_schedule_from_outside(model, "a plant of a model")
     for schedule in model.schedules:
         if schedule.name in [c.name for c in model.outputs]:
@@ -60,9 +60,9 @@ def identified(model: Model) -> Plant:
     inputs = tuple(replace(c, role="input") for c in model.inputs)
     known = [c.name for c in inputs]
     inputs = (*inputs, *(replace(c, role="schedule") for c in model.schedules if c.name not in known))
-    equation = _Equation(whole)
+    equation = _Equation(model, curves, unsigned)
     return Plant(
-        name=whole.name,
+        name=name,
         states=(
             *(Channel(name, "") for name in (*equation.states, *equation.noise)),
             *(Channel(name, unit) for name, unit in equation.past.items()),
@@ -75,10 +75,10 @@ def identified(model: Model) -> Plant:
         measure=equation.outputs,
         dt=model.dt,
         ports=tuple(Turning(place, speed) for place, speed in equation.speeds.items()),
-        start=Start(fixed=_at_rest(model, equation.earlier, equation.curves)),
+        start=Start(fixed=_at_rest(model, equation.earlier, curves)),
         noise={} if model.noise is None else _spread(model),
         substeps=1,
-        description=f"{whole.name}, order {model.order}, identified from records",
+        description=f"{name}, order {model.order}, identified from records",
         process={name: 1.0 / model.dt for name in equation.noise},
         discrete=True,
     )
@@ -103,11 +103,8 @@ def _spread(model: LPVModel) -> dict[str, float]:
 class _Equation:
     """The equation of a model, and the names of its states: its own, of its noise, of schedule and speeds as they just were."""
 
-    def __init__(self, whole: Model):
-        model = whole if isinstance(whole, LPVModel) else whole.core
-        self.model = model
-        self.curves = {curve.input: curve for curve in curves_of(whole)}
-        self.unsigned = () if isinstance(whole, LPVModel) else whole.unsigned
+    def __init__(self, model: LPVModel, curves: Mapping[str, Curve], unsigned: Sequence[str]):
+        self.model, self.curves, self.unsigned = model, curves, unsigned
         self.states = [f"state {i + 1}" for i in range(model.order)]
         self.noise = []
         self.K = self.L = None

@@ -13,12 +13,11 @@ import numpy as np
 
 from workbench.curves import Curve
 from workbench.data import Channel, Dataset
-from workbench.errors import InputError
 from workbench.hammerstein import Model, behind, curves_of, with_curves
 from workbench.lpv import LPVModel
 from workbench.robustness.limits import Limit, LoopLimits
 from workbench.robustness.verdict import Status, Verdict
-from workbench.verification.model import claimed
+from workbench.verification.model import claimed, unit_of
 
 
 class Behind(NamedTuple):
@@ -61,7 +60,9 @@ def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) ->
     commanded = {curve.input: curve for curve in curves if curve.input in law.actuated}
     if not commanded:
         return Behind(inner, core, records, limits, curves=taken)
-    _check_signals(law, core, limits)
+    units = {c.name: c.unit for c in (*core.inputs, *core.outputs) if c.name in (*law.actuated, *law.measured)}
+    for own in limits.limits:
+        unit_of(own, units)  # refused in the words of the file that asks
     names = {name: f"f({name})" for name in commanded}
     units = {names.get(key, key): unit for key, unit in inner.units.items()}
     inner = replace(inner, actuated=tuple(names.get(a, a) for a in inner.actuated), units=units)
@@ -83,18 +84,6 @@ def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) ->
             for end in inside.kept:
                 asked[f"{inside.signal}: {end} {getattr(inside, end):g}"] = f"{own.signal}: {end} {getattr(own, end):g}"
     return Behind(inner, core, records, replace(limits, limits=tuple(kept)), tuple(unsaid), asked, taken)
-
-
-def _check_signals(law: Any, core: LPVModel, limits: LoopLimits) -> None:
-    """Refuse limits of signals and in units that the loop does not have, in the names of the file that asks."""
-    units = {c.name: c.unit for c in (*core.inputs, *core.outputs) if c.name in (*law.actuated, *law.measured)}
-    for own in limits.limits:
-        place = f"[limits.{own.signal}]"
-        if own.signal not in units:
-            raise InputError("not a signal of this loop", file=place, mend=f"it has {', '.join(units)}")
-        if own.unit and units[own.signal] and own.unit != units[own.signal]:
-            unit = units[own.signal]
-            raise InputError(f"in {own.unit}, the model has it in {unit}", file=place, mend=f"give the bounds in {unit}")
 
 
 def _unproved(inverted: Curve, found: Curve, law: Any) -> str:

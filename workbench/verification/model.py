@@ -4,7 +4,7 @@ Errors that the records leave open move as they like within their boxes; certifi
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -289,12 +289,7 @@ def _prepared(left: Open, law: LinearLaw, limits: LoopLimits, plant: Plant | Non
     channels, bounds = {c.name: c for c in (*model.outputs, *model.inputs)}, []
     for limit in limits.limits:
         place = f"[limits.{limit.signal}]"
-        if limit.signal not in (*law.measured, *law.actuated):
-            known = ", ".join((*law.measured, *law.actuated))
-            raise InputError("not a signal of this loop", file=place, mend=f"it has {known}")
-        unit = channels[limit.signal].unit
-        if limit.unit and unit and limit.unit != unit:
-            raise InputError(f"in {limit.unit}, the model has it in {unit}", file=place, mend=f"give the bounds in {unit}")
+        unit = unit_of(limit, {name: channels[name].unit for name in (*law.measured, *law.actuated)})
         if "settling" in limit.kept and limit.signal not in law.measured:
             raise InputError("settling needs a set-point", file=place, mend=f"only {', '.join(law.measured)} have one")
         own = _asked(limit, law, references, unit)
@@ -335,6 +330,17 @@ def _bounds(found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, run: 
             verdict = found.replayed(verdict, _broken(own, k, passage), f"passage-{number}.json", law)
         found.verdicts.append(verdict)
     found.blocks.extend(_envelope_pictures(own, kept, {c.name: c for c in (*model.outputs, *model.inputs)}, law.dt))
+
+
+def unit_of(limit: Limit, units: Mapping[str, str]) -> str:
+    """The unit of a limit's signal. Raises InputError for a signal that is not among these, and for a limit in another unit."""
+    place = f"[limits.{limit.signal}]"
+    if limit.signal not in units:
+        raise InputError("not a signal of this loop", file=place, mend=f"it has {', '.join(units)}")
+    unit = units[limit.signal]
+    if limit.unit and unit and limit.unit != unit:
+        raise InputError(f"in {limit.unit}, the model has it in {unit}", file=place, mend=f"give the bounds in {unit}")
+    return unit
 
 
 def _references(run: Manoeuvre, law: Any) -> np.ndarray:
