@@ -31,7 +31,7 @@ from workbench.verification.trial import BAND, LONGEST, OVERSHOOT, SETTLED, Tria
 Numbers = Mapping[str, float]
 Say = Callable[[str], None]
 
-MODELS = 12  # bandwidths that reference models are tried with, each half as large as the one before
+MODELS, FINER = 24, 0.5**0.5  # bandwidths that reference models are tried with, each so much of the one before
 SLOWEST = 10.0 / LONGEST  # of 1 / dt: what has settled well before a run ends
 FROZEN, POINTS = 5, 1000  # schedule values at which they are; samples of a step that are looked at
 SLOWER = 4  # runs at most, each with reference models half as fast where the one before overshoots
@@ -53,10 +53,11 @@ class ScheduledPIDDesign:
     the proportional part. feedforward: whether a new set-point commands at once what holds it. reference_model [rad/s]: bandwidth
     of what a set-point goes through by output, infinite for nothing; where none is given `on` chooses, see `calmed`. slew [1/s]:
     largest rate of a set-point by output, infinite for none; where none is given, what the limits keep up on a model that
-    integrates. Margins are the same with all of these. objective: "variance", or "integral" for the most integral action. moving:
-    whether the gains move with the schedule, or only what is commanded at rest and the feedforward. load: size of load steps by
-    input, each one on average every load_every s; size: deviations that count as equally large by output; see `design_pid` for
-    what is left out. robust_to: models that must be kept too.
+    integrates. paths: outputs whose set-points come as a smooth path, of which rate and acceleration are fed forward, in place of
+    reference models. Margins are the same with all of these. objective: "variance", or "integral" for the most integral action.
+    moving: whether the gains move with the schedule, or only what is commanded at rest and the feedforward. load: size of load
+    steps by input, each one on average every load_every s; size: deviations that count as equally large by output; see
+    `design_pid` for what is left out. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(0.0).Kp.round(2)
         array([[0.41]])
@@ -76,6 +77,7 @@ class ScheduledPIDDesign:
     feedforward: bool = True
     reference_model: Numbers = field(default_factory=dict)
     slew: Numbers = field(default_factory=dict)
+    paths: tuple[str, ...] = ()
     objective: str = "variance"
     load: Numbers = field(default_factory=dict)
     load_every: float | None = None
@@ -98,6 +100,12 @@ class ScheduledPIDDesign:
         for name, size in self.size.items():
             if not 0.0 < size < np.inf:
                 raise InputError(f"size {size:g}", channel=name, mend="a deviation that counts as one: a number above 0")
+        if not self.feedforward and self.paths:
+            raise InputError(f"{self.paths[0]} comes as a path, and nothing is fed forward", mend="leave one of both out")
+        for name in self.paths:
+            if self.reference_model.get(name, np.inf) < np.inf:
+                mend = "leave one of both out"
+                raise InputError("a path goes through no reference model", channel=name, mend=mend)
         for key, unit in (("reference_model", "a bandwidth in rad/s"), ("slew", "a largest rate per second")):
             for name, value in getattr(self, key).items():
                 if not value > 0.0:
@@ -159,7 +167,7 @@ class ScheduledPIDDesign:
         free, slew = np.isnan(given), np.where(np.isnan(slew), _sustained(found, core, usual), slew)
 
         def run(bandwidth: np.ndarray) -> tuple[PIDDesign, Trial]:
-            own = replace(found, law=found.following(bandwidth, slew))
+            own = replace(found, law=found.following(bandwidth, slew, self._paths(core)))
             return own, tried(own.law, model, plant, usual)
 
         bandwidth = np.where(free, self._settling_soonest(found, core, given) if free.any() else given, given)
@@ -177,7 +185,7 @@ class ScheduledPIDDesign:
 
     def _settling_soonest(self, found: PIDDesign, model: LPVModel, given: np.ndarray) -> np.ndarray:
         """Bandwidths (ny,) of the reference models, chosen on the frozen loops."""
-        bandwidths, answers = [np.inf, *(0.5**k / model.dt for k in range(MODELS) if 0.5**k >= SLOWEST)], []
+        bandwidths, answers = [np.inf, *(FINER**k / model.dt for k in range(MODELS) if FINER**k >= SLOWEST)], []
         for w in bandwidths:
             answers.append(_answered(found.following(np.where(np.isnan(given), w, given)), model, found.scale))
             beyond, settled, moved = (np.array(own) for own in zip(*answers, strict=True))
@@ -191,7 +199,14 @@ class ScheduledPIDDesign:
         """Bandwidths of the reference models and slews (ny,), NaN where none is given."""
         given = self.reference_model, self.slew
         bandwidth, slew = (by_channel("output", own, model.outputs, model.name, np.nan) for own in given)
-        return bandwidth, slew
+        return np.where(self._paths(model), np.inf, bandwidth), slew
+
+    def _paths(self, model: LPVModel) -> np.ndarray:
+        """Whether the set-point of an output (ny,) comes as a path."""
+        known = [c.name for c in model.outputs]
+        for name in self.paths:
+            check_known("output", name, known, file=model.name)
+        return np.isin(known, self.paths)
 
 
 def _sustained(found: PIDDesign, model: LPVModel, usual: Sequence[float] | None) -> np.ndarray:

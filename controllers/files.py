@@ -41,7 +41,7 @@ def controller_of(content: Any, path: str | Path, find_plant: Callable[[str], Pl
         raise InputError(
             "not a controller", file=path, mend=f"expected a JSON object with schema {SCHEMA!r}, as workbench design writes it"
         )
-    if content.get("version") not in (VERSION, scheduled_pid.SHAPED_VERSION, scheduled_pid.CURVED_VERSION):
+    if content.get("version") not in (VERSION, *scheduled_pid.VERSIONS):
         raise InputError(f"controller version {content.get('version')}, this program reads {VERSION}", file=path)
     kind = KINDS[check_known("kind of controller", str(content.get("kind", "")), KINDS, file=path)]
     try:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.scheduled_pid import Gains, ScheduledPID
+from controllers.scheduled_pid import ScheduledPID
 from workbench.lpv import LPVModel, lattice, mesh
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
@@ -52,7 +52,7 @@ def design_pictures(
         for panel, key in peaks.items()
     }  # fmt: skip
     gains = {line: [own.gains_at(value) for value in rho] for line, (own, rho) in lines.items()}
-    kinds = [kind for kind in Gains._fields[:-1] if kind != "Ka" or any(own.shaped for own in laws.values())]
+    kinds = list(dict.fromkeys(kind for own in laws.values() for kind in own.gain_names))
     surfaces = {
         f"{kind}, {u.name} from {y.name}": {own: np.array([getattr(g, kind)[i, j] for g in each]) for own, each in gains.items()}
         for kind in kinds

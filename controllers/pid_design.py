@@ -90,17 +90,22 @@ class FrozenPoint:
         """P(0), or what tells as much where that does not exist; see `workbench.steady`."""
         return steady.gain(self.A, self.B, *self.scaled, self.free)
 
-    def held(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Kr and Ka [s] (nu, ny): u = Kr r + Ka r' makes outputs follow a slow r(t) but for what r'' does; set-point j moves the
-        inputs at which entries[:, j] is true, and outputs follow as near as these let them.
+    def held(self, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Kr, Ka [s] and Kaa [s^2] (nu, ny): u = Kr r + Ka r' + Kaa r'' makes outputs follow a slow r(t) at the samples, but for
+        what changes of r'' do; set-point j moves the inputs at which entries[:, j] is true, and outputs follow as near as these
+        let them.
+
+        At the samples r rises by dt r' + dt^2 r'' / 2 and r' by dt r'': states X0 r + X1 r' + X2 r'' rise by dt X0 r' and so on.
         """
-        C, D = self.scaled
-        Kr, Ka = np.zeros(entries.shape), np.zeros(entries.shape)
+        (C, D), dt = self.scaled, self.dt
+        Kr, Ka, Kaa = (np.zeros(entries.shape) for _ in range(3))
         for j, own in enumerate(entries.T):
             plant = self.A, self.B[:, own], C, D[:, own]
             X, U = steady.rests(*plant)
-            Kr[own, j], Ka[own, j] = U[:, j], steady.follows(*plant, self.dt * X[:, j : j + 1])[:, 0]
-        return Kr / self.scale, Ka / self.scale
+            X1, U1 = steady.follows(*plant, dt * X[:, j : j + 1])
+            U2 = steady.follows(*plant, dt * X1 + 0.5 * dt**2 * X[:, j : j + 1])[1]
+            Kr[own, j], Ka[own, j], Kaa[own, j] = U[:, j], U1[:, 0], U2[:, 0]
+        return Kr / self.scale, Ka / self.scale, Kaa / self.scale
 
     @property
     def settling(self) -> float:
@@ -120,11 +125,12 @@ class PIDDesign:
     """A scheduled PID, its margins on the refined grid, and what each knot alone would reach.
 
     knots (n), of several schedule variables (n, ns). low_frequency (n): sigma_min(P(0) Ki) [1/s] at the knots; alone (n): the
-    same of the law for that knot only. scale (ny): what the outputs were counted in. Ka [s]: feedforward of the rates of
-    reference models, for when the law is given some. deviation, least (n, ny): standard deviations of the outputs at the knots
-    under noise and `loads`, and under the linear law, of whatever order and margins, that makes the sum of their squares least,
-    outputs in units of `scale`; None where outputs see the command of their own sample. unmoved (n, ny): the first of these under
-    the best law within the bounds whose gains do not move with the schedule; None where there is none, or none was sought.
+    same of the law for that knot only. scale (ny): what the outputs were counted in. Ka [s], Kaa [s^2]: feedforward of the rates
+    and accelerations of set-points, for when the law is given reference models or paths. deviation, least (n, ny): standard
+    deviations of the outputs at the knots under noise and `loads`, and under the linear law, of whatever order and margins, that
+    makes the sum of their squares least, outputs in units of `scale`; None where outputs see the command of their own sample.
+    unmoved (n, ny): the first of these under the best law within the bounds whose gains do not move with the schedule; None where
+    there is none, or none was sought.
 
         >>> found = ScheduledPIDDesign(sensitivity=1.4, knots=3).design(model)
         >>> f"largest |S| {found.margins.sensitivity.max():.1f} at {len(found.margins.rho)} schedule values"
@@ -140,6 +146,7 @@ class PIDDesign:
     alone: np.ndarray = field("n")
     scale: np.ndarray = field("ny")
     Ka: np.ndarray = field("m nu ny", unit="s")
+    Kaa: np.ndarray = field("m nu ny", unit="s^2")
     loads: Loads = field()
     deviation: np.ndarray = field("n ny")
     least: np.ndarray | None = None
@@ -155,12 +162,20 @@ class PIDDesign:
         ratio = np.sum((self.deviation / self.scale) ** 2) / np.sum((self.unmoved / self.scale) ** 2)
         return 1.0 - float(np.sqrt(ratio))
 
-    def following(self, bandwidth: np.ndarray | float, slew: np.ndarray | float = np.inf) -> ScheduledPID:
-        """The law with reference models of this bandwidth (ny,) [rad/s], infinite for none, and slew limits (ny,) [1/s].
+    def following(
+        self, bandwidth: np.ndarray | float, slew: np.ndarray | float = np.inf, paths: np.ndarray | bool = False
+    ) -> ScheduledPID:
+        """The law with reference models of this bandwidth (ny,) [rad/s], infinite for none, and slew limits (ny,) [1/s]; paths
+        (ny,): set-points without a reference model whose rates and accelerations are fed forward.
 
-        Margins are the same: they are before the loop.
+        What is fed forward makes the outputs follow m, and the PID acts on m - y, its derivative too: it does not brake them. The
+        difference of a path is its rate half a sample ago. Margins are the same: all of this is before the loop.
         """
-        return replace(self.law, bandwidth=bandwidth, slew=slew, Ka=self.Ka * np.isfinite(bandwidth))
+        modelled = np.isfinite(bandwidth)
+        paths = np.logical_and(paths, ~modelled)
+        followed = np.broadcast_to(modelled | paths, self.law.c.shape)
+        Ka, Kaa = self.Ka * followed, (self.Kaa + 0.5 * self.law.dt * self.Ka * paths) * followed
+        return replace(self.law, bandwidth=bandwidth, slew=slew, Ka=Ka, Kaa=Kaa, c=1.0 * followed)
 
 
 @record
@@ -250,7 +265,7 @@ def design_pid(
     unmoved = None if still is None else plan.deviations(still.X)[0]
     return PIDDesign(
         found.law, objective, bounds, found.margins, grid, plan.low_frequency(found.law), np.array(alone), plan.scale,
-        plan.followed[2], plan.loads, *plan.deviations(found.X), unmoved,
+        *plan.followed[2:], plan.loads, *plan.deviations(found.X), unmoved,
     )  # fmt: skip
 
 
@@ -486,18 +501,19 @@ class _Plan:
         return y if setpoint is None else np.broadcast_to(np.asarray(setpoint, dtype=float), y.shape)
 
     @cached_property
-    def followed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """At every knot (m, nu, ny) Kr with all entries allowed, and Kr and Ka as the structure has them."""
+    def followed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """At every knot (m, nu, ny) Kr with all entries allowed, and Kr, Ka and Kaa as the structure has them."""
         whole = [own.held(np.ones_like(self.entries))[0] for own in self.points]
-        Kr, Ka = zip(*(own.held(self.entries) for own in self.points), strict=True)
-        return np.array(whole), np.array(Kr) * self.structure.feedforward, np.array(Ka) * self.structure.feedforward
+        Kr, Ka, Kaa = zip(*(own.held(self.entries) for own in self.points), strict=True)
+        fed = self.structure.feedforward
+        return np.array(whole), np.array(Kr) * fed, np.array(Ka) * fed, np.array(Kaa) * fed
 
     def steady_inputs(self, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kr (m, nu, ny) and u0 (m, nu) at every knot: u0 + Kr r holds r = held (m, ny), with all entries allowed every r."""
         point = self.model.operating_point
         phi = point.basis(self.grid)
         u, y = phi @ point.u, phi @ point.y
-        whole, Kr, _ = self.followed
+        whole, Kr, *_ = self.followed
         return Kr, u + np.einsum("iuy,iy->iu", whole, held - y) - np.einsum("iuy,iy->iu", Kr, held)
 
     def low_frequency(self, law: ScheduledPID) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from controllers.scheduled_pid import CURVED_VERSION, ScheduledPID, check_limits, finite, unlimited
+from controllers.scheduled_pid import SHAPED_VERSION, ScheduledPID, check_limits, finite, unlimited
 from workbench.data import SAME_DT
 from workbench.errors import InputError
 from workbench.records import field, record
@@ -112,7 +112,8 @@ class Receding:
         """What the files of all such laws hold."""
         limits = {key: finite(getattr(self, key)) for key in LIMITS}
         rest: dict[str, Any] = {"weights": vars(self.weights), "fallback": self.fallback.to_dict()}
-        rest |= {"version": CURVED_VERSION} if self.fallback.curves else {}
+        fallback = self.fallback.to_dict().get("version", SHAPED_VERSION)
+        rest |= {"version": fallback} if fallback > SHAPED_VERSION else {}
         return {"name": self.name, "horizon": self.horizon, **limits, **rest}
 
     def _solved(self, program: Program) -> tuple[np.ndarray | None, Status]:

@@ -2,16 +2,18 @@
 
     s  = the set-point r within `slew` from the last s
     m  : m'' = w^2 (s - m) - 2 w m',                             w = `bandwidth`: reference model, m = s where it is infinite
-    v  = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f             parallel form, gains are matrices (nu, ny) of rho
+    v  = u0 + Kr m + Ka m' + Kaa m'' + g(m, m') + Kp (b m - y) + z + Kd f      parallel form, gains are matrices (nu, ny) of rho
     f  = a f- + (1 - a) ((c m - y) - (c m - y)-) / dt,           a = Tf / (Tf + dt): filtered derivative
     u  = v within `low`, `high` and `rate` from the last command;  of an actuator with a curve f the u with f(u) = v is
     z+ = z + dt Ki (m - y) + what keeps z from winding up
 
 With curves all of the law is in v but u and its limits, and so is what is said of the loop: there the actuator is as good as
-linear. Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start begins
-at rest at the first measurement. The integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves
-while e = 0 moves u by what u0, Kr m and Kp (b - 1) m move, and not by the gains (both are the same law where rho stands
-still). As a transfer function from e = m - y, with b = c = 1, Kr = Ka = 0 and z = exp(s dt):
+linear. Without slew and bandwidth m is r. The reference model is that of a set-point held since the sample before; a start
+begins at rest at the first measurement. A set-point without one whose rates are fed forward is a path: m' and m'' are its
+differences from sample to sample. g is what cancels effects that act by a curve over the motion, such as friction. The
+integral is taken of Ki(rho) e, not Ki(rho) times the integral of e: a schedule that moves while e = 0 moves u by what u0, Kr m
+and Kp (b - 1) m move, and not by the gains (both are the same law where rho stands still). As a transfer function from
+e = m - y, with b = c = 1, Kr = Ka = Kaa = g = 0 and z = exp(s dt):
 
     K(z) = Kp + Ki dt / (z - 1) + Kd (z - 1) / ((Tf + dt) z - Tf)
 
@@ -57,29 +59,60 @@ class Clamping:
 AntiWindup = BackCalculation | Clamping
 ANTI_WINDUP: dict[str, type] = {"back-calculation": BackCalculation, "clamping": Clamping}
 KIND = "scheduled-pid"
-SHAPED_VERSION, CURVED_VERSION = 2, 3  # of files with reference models, with curves, which programs that know none refuse
+# of files with reference models, with curves, with accelerations, paths or compensations, which programs that know none refuse
+VERSIONS = SHAPED_VERSION, CURVED_VERSION, FED_VERSION = 2, 3, 4
 LAW = "u = u0 + Kr r + Kp (b r - y) + z + Kd f, z+ = z + dt Ki (r - y), f the derivative of c r - y filtered by Tf"
 SHAPED_LAW = (
     "u = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the derivative of c m - y filtered by Tf, "
     "m'' = w^2 (s - m) - 2 w m' with w the bandwidth, s the set-point within slew of the last s"
 )
+FED_LAW = "{law}; added to u: Kaa m''{own}; m' and m'' of a set-point without a reference model are its differences"
 CURVED_LAW = "{law}; of actuators with a curve all of this is v = f(u), and u the command with f(u) = v, within its limits"
+
+
+@record
+class Compensation:
+    """g(s), added to the command of `input`, s = position m + motion m': what cancels an effect that acts by a curve over s.
+
+    effect: what it cancels, such as coulomb@slide. position (ny), motion (ny) [s]: s from the set-points and their rates. over:
+    s in words with its unit, such as v [m/s]. curve: g over s, in the unit of the command.
+
+        >>> friction = Compensation("F", "coulomb@slide", [0.0], [1.0], Curve("F", [-0.01, 0.01], [-20.0, 20.0]), "v [m/s]")
+    """
+
+    input: str
+    effect: str
+    position: np.ndarray = field("ny", low=-FAR, high=FAR)
+    motion: np.ndarray = field("ny", unit="s", low=-FAR, high=FAR)
+    curve: Curve
+    over: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its weights and the nodes of its curve as plain values."""
+        return vars(self) | {"curve": self.curve.to_dict()}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> "Compensation":
+        """The compensation that `to_dict` wrote."""
+        curve, own = Curve.from_dict(content["curve"]), content
+        return cls(own["input"], own["effect"], own["position"], own["motion"], curve, own["over"])
 
 
 @record
 class ScheduledPID:
     """u from r and y by a PID law with gains K(rho) = sum_j K_j phi_j(rho).
 
-    u = u0 + Kr m + Ka m' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the filtered derivative of c m - y; m is the
-    set-point r, or what a reference model makes of it.
+    u = u0 + Kr m + Ka m' + Kaa m'' + Kp (b m - y) + z + Kd f, z+ = z + dt Ki (m - y), f the filtered derivative of c m - y; m is
+    the set-point r, or what a reference model makes of it.
 
     Kp (m, nu, ny), Ki [1/s], Kd [s], Kr, u0 (m, nu): coefficients of the m basis functions; Kr: feedforward of the set-points.
     `schedule` names the measured output that is rho; outside `span` the gains hold their edge value. Of several schedule
     variables `schedule` is a tuple, `span` (ns, 2), and rho (ns,). b, c (ny): set-point weights of the proportional and the
     derivative part. Tf [s]: time constant of the derivative filter. low, high, rate [1/s] (nu): limits of the command.
     slew [1/s], bandwidth [rad/s] (ny), or one number for all: largest rate of the set-points, and speed of their reference
-    models; infinite: none. Ka [s] (m, nu, ny): feedforward of the reference models' rates. curves: v = f(u) of actuators, which
-    rise everywhere: the law is that of v, and commands u.
+    models; infinite: none. Ka [s], Kaa [s^2] (m, nu, ny): feedforward of the rates and accelerations of the reference models, or
+    of set-points without one, which are paths then. compensations: what is added by curves over the motion of the set-points.
+    curves: v = f(u) of actuators, which rise everywhere: the law is that of v, and commands u.
 
         >>> law.gains_at(0.0).Ki.round(1), law.gains_at(10.0).Ki.round(1)
         (array([[1.5]]), array([[2.1]]))
@@ -107,6 +140,8 @@ class ScheduledPID:
     slew: np.ndarray = field("...", unit="1/s", low=1e-300, default=np.inf)
     bandwidth: np.ndarray = field("...", unit="rad/s", low=1e-300, default=np.inf)
     Ka: np.ndarray = field("...", unit="s", low=-FAR, high=FAR, default=0.0)
+    Kaa: np.ndarray = field("...", unit="s^2", low=-FAR, high=FAR, default=0.0)
+    compensations: tuple[Compensation, ...] = ()
     curves: tuple[Curve, ...] = ()
     name: str = "scheduled-pid"
     units: dict[str, str] = field(default_factory=dict)  # of the channels by name, where they are known
@@ -123,17 +158,17 @@ class ScheduledPID:
         if len(self.basis.names) != m:
             raise InputError(f"{m} coefficients for {len(self.basis.names)} basis functions", file=self.name)
         check_limits(self.name, self.actuated, self.low, self.high)
-        for key, shape, none in (("slew", (ny,), np.inf), ("bandwidth", (ny,), np.inf), ("Ka", self.Kp.shape, 0.0)):
+        surfaces = (("Ka", self.Kp.shape, 0.0), ("Kaa", self.Kp.shape, 0.0))
+        for key, shape, none in (("slew", (ny,), np.inf), ("bandwidth", (ny,), np.inf), *surfaces):
             given = np.asarray(getattr(self, key))
             given = np.asarray(none) if (given == none).all() else given
             if given.shape not in ((), shape):
                 raise InputError(f"{key} of shape {given.shape}", file=self.name, mend=f"one number, or shape {shape}")
             object.__setattr__(self, key, np.broadcast_to(given, shape))
-        for name in (
-            own for own, w, K in zip(self.references, self.bandwidth, self.Ka.T, strict=True) if K.any() and w == np.inf
-        ):
-            mend = "give it a bandwidth, or Ka = 0"
-            raise InputError("Ka for a set-point without a reference model", file=self.name, channel=name, mend=mend)
+        for own in self.compensations:
+            check_known("actuated channel", own.input, self.actuated, file=self.name)
+            if own.position.shape != (ny,) or own.motion.shape != (ny,):
+                raise InputError(f"compensation of {own.effect}: weights for {len(own.motion)} outputs", file=self.name)
         check_single(self.curves, self.name)
         for curve in self.curves:
             check_known("actuated channel", curve.input, self.actuated, file=self.name)
@@ -173,13 +208,30 @@ class ScheduledPID:
 
     @cached_property
     def shaped(self) -> bool:
-        """Whether a set-point goes through a slew limit or a reference model."""
-        return bool(np.isfinite([self.slew, self.bandwidth]).any())
+        """Whether a set-point goes through a slew limit or a reference model, or its rates are fed forward."""
+        moved = any(own.motion.any() for own in self.compensations)
+        return bool(np.isfinite([self.slew, self.bandwidth]).any() or self.Ka.any() or self.Kaa.any() or moved)
+
+    @cached_property
+    def paths(self) -> np.ndarray:
+        """Whether a set-point (ny,) is a path: rates are fed forward that are its differences from sample to sample."""
+        used = np.any([self.Ka.any(axis=(0, 1)), self.Kaa.any(axis=(0, 1)), *(own.motion for own in self.compensations)], axis=0)
+        return used & ~np.isfinite(self.bandwidth)
+
+    @property
+    def gain_names(self) -> tuple[str, ...]:
+        """Of Kp, Ki, Kd, Kr, Ka, Kaa those that the law has."""
+        return ("Kp", "Ki", "Kd", "Kr", *["Ka"] * self.shaped, *["Kaa"] * bool(self.Kaa.any()))
 
     @property
     def unshaped(self) -> "ScheduledPID":
         """The law from m to u: what is in the loop, and the same for every slew and reference model."""
-        return replace(self, slew=np.inf, bandwidth=np.inf, Ka=0.0) if self.shaped else self
+        return replace(self, slew=np.inf, bandwidth=np.inf, Ka=0.0, Kaa=0.0, compensations=())
+
+    @property
+    def uncompensated(self) -> "ScheduledPID":
+        """The law without compensations, which is linear where no limit acts: what is in the loop is the same."""
+        return replace(self, compensations=()) if self.compensations else self
 
     @property
     def inside(self) -> "ScheduledPID":
@@ -222,7 +274,7 @@ class ScheduledPID:
         return float(np.max(np.maximum(low - rho, rho - high) / (high - low), initial=0.0))
 
     def gains_at(self, rho: Any = None) -> "Gains":
-        """Kp, Ki, Kd, Kr, Ka (nu, ny) and u0 (nu,) at one schedule value, (ns,) of several variables."""
+        """Kp, Ki, Kd, Kr, Ka, Kaa (nu, ny) and u0 (nu,) at one schedule value, (ns,) of several variables."""
         weight = self.basis(np.clip(0.0 if rho is None else rho, self.span[..., 0], self.span[..., 1]))
         return Gains(*(np.tensordot(weight, getattr(self, key), 1) for key in Gains._fields))
 
@@ -232,24 +284,26 @@ class ScheduledPID:
 
     def at(self, rho: Any = None) -> "control.StateSpace":
         """The unlimited law at one schedule value: python-control system from (r, y) to u - u0, states z, f, last c m - y, and
-        m, m' of the set-points that have a reference model; without slew limits.
+        m, m' of the set-points that have a reference model or are paths; without slew limits and compensations.
 
         Without the z of commands that nothing is integrated for: they stay at 0, and are no pole at 1.
         """
         import control  # takes a second to import, and only this needs it
 
         K, (nu, ny) = self.gains_at(rho), self.Kp.shape[1:]
-        integrated, modelled = self.Ki.any(axis=(0, 2)), np.isfinite(self.bandwidth)
+        integrated, modelled = self.Ki.any(axis=(0, 2)), np.isfinite(self.bandwidth) | self.paths
         sizes = integrated.sum(), ny, ny, modelled.sum(), modelled.sum(), ny, ny
         # every signal is a row over (z, f, d, m, m', r, y)
         z, f, d, m, rate, r, y = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
         before = [np.eye(ny)[:, modelled] @ own for own in (m, rate)]
-        own = self.reference_model
+        own, to = self.reference_model, self.acceleration
         m, rate = (own[:, [i]] * before[0] + own[:, [i + 1]] * before[1] + own[:, [i + 2]] * r for i in (0, 3))
+        acceleration = to[:, [0]] * (r - m) + to[:, [1]] * rate + to[:, [2]] * before[1]
         a, slope = self.Tf / (self.Tf + self.dt), self.c[:, None] * m - y
         after_f = a * f + (1.0 - a) / self.dt * (slope - d)
         after_z = z + self.dt * K.Ki[integrated] @ (m - y)
-        u = K.Kr @ m + K.Ka @ rate + K.Kp @ (self.b[:, None] * m - y) + np.eye(nu)[:, integrated] @ z + K.Kd @ after_f
+        fed = K.Kr @ m + K.Ka @ rate + K.Kaa @ acceleration
+        u = fed + K.Kp @ (self.b[:, None] * m - y) + np.eye(nu)[:, integrated] @ z + K.Kd @ after_f
         states = len(z) + 2 * ny + 2 * int(modelled.sum())
         (A, B), (C, D) = (
             np.split(own, [states], axis=1) for own in (np.vstack([after_z, after_f, slope, m[modelled], rate[modelled]]), u)
@@ -260,17 +314,27 @@ class ScheduledPID:
 
     @property
     def reference_model(self) -> np.ndarray:
-        """(ny, 6): m of m-, m'- and s, then m' of them; the critically damped model over a sample in which s stands still."""
+        """(ny, 6): m of m-, m'- and s, then m' of them; the critically damped model over a sample in which s stands still, and
+        m = s with its difference from the last of a path.
+        """
         w = np.where(np.isfinite(self.bandwidth), self.bandwidth, 0.0)
         x = np.minimum(w * self.dt, 700.0)  # what is faster is as fast
         w = x / self.dt
         decay = np.where(np.isfinite(self.bandwidth), np.exp(-x), 0.0)
+        path = self.paths / self.dt
         return np.column_stack(
-            [(1 + x) * decay, self.dt * decay, 1 - (1 + x) * decay, -w * x * decay, (1 - x) * decay, w * x * decay]
+            [(1 + x) * decay, self.dt * decay, 1 - (1 + x) * decay, -w * x * decay - path, (1 - x) * decay, w * x * decay + path]
         )
 
+    @property
+    def acceleration(self) -> np.ndarray:
+        """(ny, 3): m'' of s - m, m' and the last m'; of a path the difference of its rates."""
+        w, path = np.where(np.isfinite(self.bandwidth), self.bandwidth, 0.0), self.paths / self.dt
+        w = np.minimum(w, 700.0 / self.dt)
+        return np.column_stack([w**2, path - 2.0 * w, -path])
+
     def response(self, omega: np.ndarray, rho: Any = None) -> np.ndarray:
-        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = m - y, all weights 1, without Kr and Ka."""
+        """K(exp(j omega dt)), (len(omega), nu, ny), of the unlimited law from e = m - y, all weights 1, without feedforward."""
         return np.einsum("wq,qij->wij", parts(omega, self.dt, self.Tf), np.stack(self.gains_at(rho)[:3]))
 
     # ---- files ----------------------------------------------------------------------------------------------------------
@@ -279,13 +343,21 @@ class ScheduledPID:
     def sentence(self) -> str:
         """The law in a line."""
         law = SHAPED_LAW if self.shaped else LAW
+        if self._fed:
+            law = FED_LAW.format(law=law, own=", and g(position m + motion m') of every compensation" * bool(self.compensations))
         return CURVED_LAW.format(law=law) if self.curves else law
+
+    @property
+    def _fed(self) -> bool:
+        """Whether it feeds forward what programs of before do not know."""
+        return bool(self.Kaa.any() or self.paths.any() or self.compensations)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package; a limit that is not there is null."""
         kind = next(kind for kind, cls in ANTI_WINDUP.items() if isinstance(self.anti_windup, cls))
         shaping = {"slew": finite(self.slew), "bandwidth": finite(self.bandwidth), "Ka": self.Ka, "version": SHAPED_VERSION}
         curves = {"curves": [curve.to_dict() for curve in self.curves], "version": CURVED_VERSION}
+        fed = curves | {"Kaa": self.Kaa, "compensations": [own.to_dict() for own in self.compensations], "version": FED_VERSION}
         return {
             "kind": KIND,
             "law": self.sentence,
@@ -296,14 +368,17 @@ class ScheduledPID:
             "basis": basis_to_dict(self.basis), "Kp": self.Kp, "Ki": self.Ki, "Kd": self.Kd, "Kr": self.Kr, "u0": self.u0,
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
-        } | (shaping if self.shaped else {}) | (curves if self.curves else {})  # fmt: skip
+        } | (shaping if self.shaped else {}) | (curves if self.curves else {}) | (fed if self._fed else {})  # fmt: skip
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> "ScheduledPID":
         """The law that `to_dict` wrote."""
         anti_windup = dict(content["anti_windup"])
         schedule = tuple(own) if isinstance(own := content["schedule"], list) else own
-        own_curves = content["curves"] if content.get("version") == CURVED_VERSION else ()
+        version, fed = content.get("version"), {}
+        own_curves = content["curves"] if version in (CURVED_VERSION, FED_VERSION) else ()
+        if version == FED_VERSION:
+            fed = {"Kaa": content["Kaa"], "compensations": tuple(map(Compensation.from_dict, content["compensations"]))}
         return cls(
             actuated=tuple(content["actuated"]), measured=tuple(content["measured"]), references=tuple(content["references"]),
             dt=content["dt"], Kp=content["Kp"], Ki=content["Ki"], Kd=content["Kd"],
@@ -313,7 +388,7 @@ class ScheduledPID:
             anti_windup=ANTI_WINDUP[check_known("anti-windup", anti_windup.pop("kind"), ANTI_WINDUP)](**anti_windup),
             schedule=schedule, name=content["name"], units=dict(content.get("units", {})), span=_ends(content["span"]),
             **{key: unlimited(content[key], np.inf) for key in ("slew", "bandwidth") if key in content},
-            Ka=content.get("Ka", 0.0), curves=tuple(map(Curve.from_dict, own_curves)),
+            Ka=content.get("Ka", 0.0), curves=tuple(map(Curve.from_dict, own_curves)), **fed,
         )  # fmt: skip
 
     def export(self, form: str, folder: str | Path, *, name: str | None = None, single: bool = False) -> list[Path]:
@@ -331,9 +406,10 @@ class ScheduledPID:
         knots = knots_of(self.basis)  # other knots, same kernel
         numbers = (self.span, *knots, *surfaces, self.b, self.c, self.low, self.high, self.rate * self.dt)
         decay = self.Tf / (self.Tf + self.dt)
-        shaping = (self.slew * self.dt, self.reference_model.T, self.Ka) if self.shaped else ()
+        shaping = (self.slew * self.dt, self.reference_model, self.acceleration, self.Ka, self.Kaa) if self.shaped else ()
         curves = [own for c in self.curves for own in (c.bends, c.back.bends)]
-        rest = (self.dt / self.tracking, np.array([decay, (1 - decay) / self.dt]), *shaping, *curves)
+        added = [own for c in self.compensations for own in (c.position, c.motion, c.curve.bends)]
+        rest = (self.dt / self.tracking, np.array([decay, (1 - decay) / self.dt]), *shaping, *curves, *added)
         every = np.concatenate([n.ravel() for n in (*numbers, *rest)])
         return np.clip(every, -FAR, FAR)  # compiled limits count on finite numbers
 
@@ -383,7 +459,8 @@ class ScheduledPID:
         """
         expected, tail = len(self.init()), 3 * len(self.measured)
         if self.shaped and len(state) == expected - tail:
-            state = np.concatenate([state, y, y, np.zeros_like(y)])
+            begins = np.where(self.paths, r, y)
+            state = np.concatenate([state, begins, begins, np.zeros_like(begins)])
         elif not self.shaped and len(state) == expected + tail:
             state = state[:expected]
         elif len(state) != expected:
@@ -397,14 +474,16 @@ class ScheduledPID:
     def _aim(self, K: "_Numbers", at: "_Memory", r: Any, y: Any) -> "_Aim":
         """What the loop follows: the set-points within their slew, through their reference models."""
         if not self.shaped:
-            return _Aim(list(r), [], [])
-        s, m, rate = [], [], []
-        for j, (a, b, c, d, e, f) in enumerate(zip(*K.reference_model, strict=True)):
-            held, was = (own[j] + at.cold * (y[j] - own[j]) for own in (at.s, at.m))
+            return _Aim(list(r), [], [], [])
+        s, m, rate, acceleration = [], [], [], []
+        for j, ((a, b, c, d, e, f), (g, h, i)) in enumerate(zip(K.reference_model, K.acceleration, strict=True)):
+            begins = r[j] if self.paths[j] else y[j]
+            held, was = (own[j] + at.cold * (begins - own[j]) for own in (at.s, at.m))
             s.append(_near(held, K.slew[j], r[j]))
             m.append(a * was + b * at.rate[j] + c * s[j])
             rate.append(d * was + e * at.rate[j] + f * s[j])
-        return _Aim(m, rate, s)
+            acceleration.append(g * (s[j] - m[j]) + h * rate[j] + i * at.rate[j])
+        return _Aim(m, rate, acceleration, s)
 
     def _direct(self, K: "_Numbers", at: "_Memory", aim: "_Aim", y: Any) -> tuple[list, list, list]:
         """The command without the integral, f, and c m - y."""
@@ -415,8 +494,14 @@ class ScheduledPID:
         for i, own in enumerate(K.u0):
             for j in range(len(y)):
                 own = own + K.Kr[i][j] * r[j] + K.Kp[i][j] * (K.b[j] * r[j] - y[j]) + K.Kd[i][j] * f[j]
-                own = own + K.Ka[i][j] * aim.rate[j] if aim.rate else own
+                own = own + K.Ka[i][j] * aim.rate[j] + K.Kaa[i][j] * aim.acceleration[j] if aim.rate else own
             direct.append(own)
+        for c, (position, motion, bends) in zip(self.compensations, K.compensations, strict=True):
+            s = sum(p * m for p, m in zip(position, r, strict=True)) + sum(
+                w * rate for w, rate in zip(motion, aim.rate or [0.0] * len(r), strict=True)
+            )
+            i = self.actuated.index(c.input)
+            direct[i] = direct[i] + bent(s, bends)
         return direct, f, d
 
     def _numbers(self, gains: Any, rho: Any) -> "_Numbers":
@@ -446,9 +531,11 @@ class ScheduledPID:
         return _Numbers(
             Kp=matrix(), Ki=matrix(), Kd=matrix(), Kr=matrix(), u0=surface(nu), b=take(ny), c=take(ny), low=take(nu),
             high=take(nu), rate=take(nu), follow=take(nu), decay=take(1)[0], fresh=take(1)[0],
-            slew=take(ny * self.shaped), reference_model=[take(ny) for _ in range(6 * self.shaped)],
-            Ka=matrix() if self.shaped else [],
+            slew=take(ny * self.shaped), reference_model=[take(6) for _ in range(ny * self.shaped)],
+            acceleration=[take(3) for _ in range(ny * self.shaped)],
+            Ka=matrix() if self.shaped else [], Kaa=matrix() if self.shaped else [],
             curves={self.actuated.index(c.input): (take(len(c.bends)), take(len(c.bends))) for c in self.curves},
+            compensations=[(take(ny), take(ny), take(len(c.curve.bends))) for c in self.compensations],
         )  # fmt: skip
 
     def _split(self, state: Any) -> "_Memory":
@@ -468,6 +555,7 @@ class Gains(NamedTuple):
     Kd: np.ndarray
     Kr: np.ndarray
     Ka: np.ndarray
+    Kaa: np.ndarray
     u0: np.ndarray
 
 
@@ -489,8 +577,11 @@ class _Numbers(NamedTuple):
     fresh: Any
     slew: list
     reference_model: list[list]
+    acceleration: list[list]
     Ka: list[list]
+    Kaa: list[list]
     curves: dict[int, tuple[list, list]]
+    compensations: list[tuple[list, list, list]]
 
     def arrives(self, i: int, u: Any) -> Any:
         """v of a command."""
@@ -516,10 +607,11 @@ class _Memory(NamedTuple):
 
 
 class _Aim(NamedTuple):
-    """What the loop follows, its rate, and the set-points within their slew."""
+    """What the loop follows, its rate and acceleration, and the set-points within their slew."""
 
     m: list
     rate: list
+    acceleration: list
     s: list
 
     @property

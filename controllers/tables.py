@@ -59,8 +59,8 @@ def gain_csv(law: ScheduledPID) -> str:
     """Kp, Ki, Kd, Kr, Ka and u0 over the schedule as CSV, a column a number; units where they are known."""
     schedules = schedules_of(law)
     header = [f"{name} [{law.unit(name)}]" for name in schedules]
-    shaped = (("Ka", " s"),) if law.shaped else ()
-    for name, time in (("Kp", ""), ("Ki", "/s"), ("Kd", " s"), ("Kr", ""), *shaped):
+    times = {"Ki": "/s", "Kd": " s", "Ka": " s", "Kaa": " s^2"}
+    for name, time in ((name, times.get(name, "")) for name in law.gain_names):
         header += [f"{name}_{a}_{m} {law.gain_unit(a, m, time)}".rstrip() for a in law.actuated for m in law.measured]
     header += [f"u0_{a}" + f" [{law.unit(a)}]" * bool(law.unit(a)) for a in law.actuated]
     rows = [",".join(header)]
@@ -90,7 +90,8 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
         "actuated": named(law.actuated), "measured": named(law.measured), "references": named(law.references),
         "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
-        **shaping, **({"curves": [curve.to_dict() for curve in law.curves]} if law.curves else {}),
+        **shaping, **({"compensations": [own.to_dict() for own in law.compensations]} if law.compensations else {}),
+        **({"curves": [curve.to_dict() for curve in law.curves]} if law.curves else {}),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,
         "largest_difference": _differences(axes, rows, lambda rho: _gains(law, rho)),
@@ -99,8 +100,8 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
 
 
 def _gains(law: ScheduledPID, rho: Any) -> dict[str, np.ndarray]:
-    """The gains at a schedule value by name; Ka where there is a reference model."""
-    return {key: K for key, K in law.gains_at(rho)._asdict().items() if key != "Ka" or law.shaped}
+    """The gains at a schedule value by name, and u0."""
+    return {key: getattr(law.gains_at(rho), key) for key in (*law.gain_names, "u0")}
 
 
 def mpc_matrices(law: MPC) -> dict[str, Any]:

@@ -220,6 +220,7 @@ def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesig
         filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
         moving=not options.fixed_gains,
         reference_model=_given(options.reference_model), slew=_given(options.slew),
+        paths=tuple(name for text in options.path for name in names(text)),
         objective=options.objective, load=_given(options.load), load_every=options.load_every, size=_given(options.size),
         robust_to=tuple(load_model(path) for path in options.robust_to),
     )  # fmt: skip
@@ -252,8 +253,9 @@ def _say_limits(law: Any, model: LPVModel, say: Say) -> None:
 def _setpoints_said(law: ScheduledPID, model: LPVModel, wanted: ScheduledPIDDesign, trial: Trial) -> str:
     """What set-points go through, and what is left to do; empty where that is nothing."""
     told, chosen = [], []
-    for c, w, slew in zip(model.outputs, law.bandwidth.tolist(), law.slew.tolist(), strict=True):
+    for c, w, slew, path in zip(model.outputs, law.bandwidth.tolist(), law.slew.tolist(), law.paths.tolist(), strict=True):
         ways = [f"a slew of {slew:.4g} {c.unit}/s"] * (slew < np.inf) + [f"a reference model of {w:.3g} rad/s"] * (w < np.inf)
+        ways += ["the feedforward of its rate and acceleration: give it a smooth path, no steps"] * path
         told += [f"{c.name} through {' and '.join(ways)}"] * bool(ways)
         chosen += [f"{c.name}=inf"] * (w < np.inf and c.name not in wanted.reference_model)
     said = [f"set-points: {', '.join(told)}"] * bool(told)

@@ -172,6 +172,10 @@ def _design(sub: argparse.ArgumentParser) -> None:
         help="bandwidth in rad/s of what its set-point goes through, inf: nothing (default: what settles soonest, and overshoots "
         "by a fifth at most)",
     )
+    sub.add_argument(
+        "--path", action="append", default=[], metavar="Y,..", help="outputs whose set-points come as a smooth path: rate and "
+        "acceleration are fed forward, there is no reference model",
+    )  # fmt: skip
     sub.add_argument("--slew", action="append", default=[], metavar="Y=V,..", help="largest rate of its set-point, per second")
     sub.add_argument(
         "--fixed-gains", action="store_true", help="a scheduled law of which only the feedforward moves with the schedule"

@@ -63,17 +63,21 @@ def rests(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> tuple[n
     return T @ both[: T.shape[1]], unit[:, None] * both[T.shape[1] :]
 
 
-def follows(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """Inputs V (nu, n) that are added to those at rest while states rise by X (nx, n) a sample, and outputs with them, none late.
+def follows(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """States W (nx, n) and inputs V (nu, n) that are added to those at rest while states rise by X (nx, n) a sample, and outputs
+    with them, none late.
 
     x_k = X k + W and x_(k+1) = A x_k + B u_k give (1 - A) W - B V = -X and C W + D V = 0, or as near to that as they go.
     """
     if not integrates(A):
-        return np.linalg.pinv(gain(A, B, C, D)) @ C @ np.linalg.solve(np.eye(len(A)) - A, X)
+        rest = np.eye(len(A)) - A
+        V = np.linalg.pinv(gain(A, B, C, D)) @ C @ np.linalg.solve(rest, X)
+        return np.linalg.solve(rest, B @ V - X), V
     T, unit = _reached(A, B)
     rest, reads = np.hstack([T - A @ T, -B * unit]), np.hstack([C @ T, D * unit])
     moving, still = np.linalg.lstsq(rest, -X, rcond=None)[0], null_space(rest)
-    return unit[:, None] * (moving - still @ np.linalg.pinv(reads @ still) @ reads @ moving)[T.shape[1] :]
+    both = moving - still @ np.linalg.pinv(reads @ still) @ reads @ moving
+    return T @ both[: T.shape[1]], unit[:, None] * both[T.shape[1] :]
 
 
 def _reached(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -123,7 +123,7 @@ $schedule    s->valid = $finite;
         }
         return;
     }
-    for (int j = 0; j < NY; ++j) {
+$accelerations    for (int j = 0; j < NY; ++j) {
 $shaping        const real d = C[j] * $aim - y[j];
         s->f[j] = s->cold ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
         s->d[j] = d;
@@ -137,7 +137,7 @@ $Ka            own += $Kp * (B[j] * $aim - y[j]);
             own += $Kd * s->f[j];
             push += PERIOD * $Ki * ($aim - y[j]);
         }
-        if (s->takes_over)
+$compensating        if (s->takes_over)
             s->z[i] = $held - own;
         const real v = own + s->z[i];
 ${wanting}        const real way = s->cold && !s->takes_over ? NO_LIMIT : RATE[i] * PERIOD;
@@ -223,17 +223,20 @@ C_SHAPING_STATE = Template("""\
     double n[${NAME}_NY]; /* their rates */
 """)
 C_SHAPING = Template("""\
-        const double way = SLEW[j] * ${double}PERIOD, held = s->cold ? ${double}y[j] : s->s[j];
-        const double m = s->cold ? ${double}y[j] : s->m[j], n = s->cold ? 0 : s->n[j];
+        const double way = SLEW[j] * ${double}PERIOD, held = s->cold ? ${double}$begins : s->s[j];
+        const double m = s->cold ? ${double}$begins : s->m[j], n = s->cold ? 0 : s->n[j];
         s->s[j] = fmax(held - way, fmin(held + way, ${double}r[j]));
         s->m[j] = MODEL[j][0] * m + MODEL[j][1] * n + MODEL[j][2] * s->s[j];
         s->n[j] = MODEL[j][3] * m + MODEL[j][4] * n + MODEL[j][5] * s->s[j];
-""")
+$accelerate""")
+C_ACCELERATE = """\
+        acceleration[j] = CHANGE[j][0] * (s->s[j] - s->m[j]) + CHANGE[j][1] * s->n[j] + CHANGE[j][2] * n;
+"""
 C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * ($arrives - v);"
 C_CLAMPING = """\
 if (!(($wanted - u[i]) * push > 0))
             s->z[i] += push;"""
-C_CURVES = Template("""
+C_LINES = """
 /* Straight lines through nodes (x, y), and on along the first and the last one. */
 static real on_lines(real at, const real *x, const real *y, int nodes)
 {
@@ -242,7 +245,16 @@ static real on_lines(real at, const real *x, const real *y, int nodes)
         ++k;
     return y[k] + (y[k + 1] - y[k]) / (x[k + 1] - x[k]) * (at - x[k]);
 }
-
+"""
+C_COMPENSATION = Template("""\
+        if (i == $i) { /* $effect */
+            real at = 0;
+            for (int j = 0; j < NY; ++j)
+                at += POSITION_$k[j] * $aim$moved;
+            own += on_lines(at, ADDED_${k}_AT, ADDED_$k, POINTS_$k);
+        }
+""")
+C_CURVES = Template("""
 /* v of a command: what arrives of it. */
 static real arrives(int i, real u)
 {
@@ -266,7 +278,7 @@ $commanded
 def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
     """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
     number, f = (_float, "f") if single else (double_text, "")
-    narrow = "(real)" * single  # of what is kept in double precision
+    narrow, accelerated = "(real)" * single, bool(law.Kaa.any())  # of what is kept in double precision
     if single:
         _check_float(law)
     scheduled, several, sizes = law.schedule is not None, law.span.ndim > 1, table_sizes(law)
@@ -289,10 +301,17 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "finite": isfinite if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
         "Kr": gain("KR[i][j]"), "m": "m" if law.shaped else "r", "aim": f"{narrow}s->m[j]" if law.shaped else "r[j]",
-        "Ka": f"            own += {gain('KA[i][j]')} * {narrow}s->n[j];\n" * law.shaped,
-        "shaping": C_SHAPING.substitute(double="(double)" * single) * law.shaped,
+        "Ka": f"            own += {gain('KA[i][j]')} * {narrow}s->n[j];\n" * law.shaped
+        + f"            own += {gain('KAA[i][j]')} * {narrow}acceleration[j];\n" * accelerated,
+        "shaping": C_SHAPING.substitute(
+            double="(double)" * single, accelerate=C_ACCELERATE * accelerated,
+            begins="(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if law.paths.any() else "y[j]",
+        ) * law.shaped,
+        "accelerations": "    double acceleration[NY];\n" * accelerated,
+        "compensating": "".join(_c_compensation(law, k, narrow) for k in range(len(law.compensations))),
         "shaping_state": C_SHAPING_STATE.substitute(name=name, NAME=NAME) * law.shaped,
-        "curves": _c_curves(law) if law.curves else "", "wanted": "wanted" if law.curves else "v",
+        "curves": C_LINES * bool(law.curves or law.compensations) + (_c_curves(law) if law.curves else ""),
+        "wanted": "wanted" if law.curves else "v",
         "held": "arrives(i, s->u[i])" if law.curves else "s->u[i]",
         "wanting": "        const real wanted = commanded(i, v);\n" * bool(law.curves),
         "integral": Template(C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING).substitute(
@@ -300,6 +319,15 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         ),
     }  # fmt: skip
     return C_HEADER.substitute(words), C_SOURCE.substitute(words)
+
+
+def _c_compensation(law: ScheduledPID, k: int, narrow: str) -> str:
+    """Statements that add a compensation to its command."""
+    own, aim, moved = law.compensations[k], f"{narrow}s->m[j]" if law.shaped else "r[j]", ""
+    if law.shaped:
+        moved = f" + MOTION_{k + 1}[j] * {narrow}s->n[j]"
+    effect = plain_comment(f"compensation of {own.effect}")
+    return C_COMPENSATION.substitute(i=law.actuated.index(own.input), k=k + 1, effect=effect, aim=aim, moved=moved)
 
 
 def _c_curves(law: ScheduledPID) -> str:
@@ -373,5 +401,6 @@ def _check_float(law: ScheduledPID) -> None:
         limits = table.name in ("LOW", "HIGH", "RATE")
         if not limits and not table.wide and np.abs(table.values).max() > NO_LIMIT_FLOAT:
             raise InputError(f"{table.name} holds numbers beyond single precision", file=law.name, mend=mend)
-        if table.name.startswith(("SPAN", "KNOTS", "CURVE")) and np.any(np.diff(np.float32(table.values)) <= 0.0):
+        apart = table.name.startswith(("SPAN", "KNOTS", "CURVE")) or table.name.endswith("_AT")
+        if apart and np.any(np.diff(np.float32(table.values)) <= 0.0):
             raise InputError(f"{table.name} holds values that are one in single precision", file=law.name, mend=mend)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controllers.scheduled_pid import BackCalculation, ScheduledPID
+from controllers.scheduled_pid import BackCalculation, Compensation, ScheduledPID
 from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
 from workbench.curves import Curve
 from workbench.physics.controller import schedules_of
@@ -36,7 +36,8 @@ def tables(law: ScheduledPID) -> list[Table]:
         _gains(law, "Ki", "integral gains", "/s"),
         _gains(law, "Kd", "derivative gains", " s"),
         _gains(law, "Kr", "feedforward of the set-points", ""),
-        *([_gains(law, "Ka", "feedforward of the reference models' rates", " s")] if law.shaped else []),
+        *([_gains(law, "Ka", "feedforward of the set-points' rates", " s")] if law.shaped else []),
+        *([_gains(law, "Kaa", "feedforward of the set-points' accelerations", " s^2")] if law.Kaa.any() else []),
         _u0(law),
         Table("B", ("NY",), law.b, f"set-point weights of the proportional part: {outputs}"),
         Table("C", ("NY",), law.c, f"set-point weights of the derivative part: {outputs}"),
@@ -51,6 +52,7 @@ def tables(law: ScheduledPID) -> list[Table]:
             else []
         ),
         *(_shaping(law) if law.shaped else []),
+        *(table for k, own in enumerate(law.compensations, 1) for table in _compensation(law, k, own)),
         *(table for i, own in curves_by_number(law) for table in _curve(law, i, own)),
     ]
 
@@ -68,17 +70,33 @@ def _curve(law: ScheduledPID, i: int, curve: Curve) -> list[Table]:
     ]
 
 
+def _compensation(law: ScheduledPID, k: int, own: Compensation) -> list[Table]:
+    """What is added to a command by a curve over the motion of the set-points."""
+    size, over, to = (f"POINTS_{k}",), own.over or "s", channel(law, own.input)
+    moved = [Table(f"MOTION_{k}", ("NY",), own.motion, "and of their rates, s")] if law.shaped else []
+    return [
+        Table(f"POSITION_{k}", ("NY",), own.position, f"{over} of the set-points {channels(law, law.references)}"),
+        *moved,
+        Table(f"ADDED_{k}_AT", size, own.curve.u, f"compensation of {own.effect}: nodes over {over}"),
+        Table(f"ADDED_{k}", size, own.curve.v, f"what is added to {to} at them; linear between and on at both ends"),
+    ]
+
+
 def _shaping(law: ScheduledPID) -> list[Table]:
-    """What makes reference models and their rates of the set-points."""
+    """What makes reference models, their rates and accelerations of the set-points."""
     rows = tuple(
-        f"{own}: {'none' if w == np.inf else f'{w:g} rad/s'}" for own, w in zip(law.references, law.bandwidth, strict=True)
+        f"{own}: {'a path' if path else 'none' if w == np.inf else f'{w:g} rad/s'}"
+        for own, w, path in zip(law.references, law.bandwidth, law.paths.tolist(), strict=True)
     )
     model = "reference models: what m and its rate n are of the last m and n and of s"
+    change = "what accelerations are of s - m, of n and of the last n"
     return [
         Table(
             "SLEW", ("NY",), law.slew, f"largest rates of the set-points, per second: {channels(law, law.references)}", wide=True
         ),
         Table("MODEL", ("NY", "6"), law.reference_model, model, rows, wide=True),
+        *([Table("AT_SETPOINT", ("NY",), 1.0 * law.paths, "1: starts at the set-point, 0: at y")] if law.paths.any() else []),
+        *([Table("CHANGE", ("NY", "3"), law.acceleration, change, law.references, wide=True)] if law.Kaa.any() else []),
     ]
 
 
@@ -134,6 +152,7 @@ def table_sizes(law: ScheduledPID) -> dict[str, int]:
     """Sizes by the names that they have in the texts."""
     m, nu, ny = law.Kp.shape
     common = {"NU": nu, "NY": ny} | {f"NODES_{i}": len(own.u) for i, own in curves_by_number(law)}
+    common |= {f"POINTS_{k}": len(own.curve.u) for k, own in enumerate(law.compensations, 1)}
     if not law.schedule:
         return common
     if not isinstance(law.basis, Products):

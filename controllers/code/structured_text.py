@@ -110,7 +110,7 @@ $Ka        own := own + $Kp * (B[j] * $aim - measured[j]);
         own := own + $Kd * f[j];
         push := push + PERIOD * $Ki * ($aim - measured[j]);
     END_FOR;
-    IF takes_over THEN
+$compensating    IF takes_over THEN
 $held        z[i] := $arrived - own;
     END_IF;
     v := own + z[i];
@@ -145,7 +145,6 @@ END_FUNCTION_BLOCK
 ST_CURVE_LOCALS = """\
     wanted : LREAL; (* the command of which v arrives *)
     arrives : LREAL; (* what arrives of a command *)
-    node : INT;
 """
 ST_LOCALS = """\
 $rho    (* weights of the coefficients: $meaning *)
@@ -231,9 +230,9 @@ ST_GAINS = """\
         END_FOR;
 """
 ST_GAIN_OF_RATES = """\
-        gain_a := 0.0;
+        $gain := 0.0;
         FOR k := 1 TO TERMS DO
-            gain_a := gain_a + phi[k] * KA[i, j, k];
+            $gain := $gain + phi[k] * $K[i, j, k];
         END_FOR;
 """
 ST_SHAPING_STATE = """\
@@ -244,8 +243,8 @@ ST_SHAPING_STATE = """\
 """
 ST_SHAPING = """\
     IF NOT warm THEN (* the reference models start from rest *)
-        s[j] := measured[j];
-        m[j] := measured[j];
+        s[j] := $begins;
+        m[j] := $begins;
         n[j] := 0.0;
     END_IF;
     IF set_point[j] < s[j] - SLEW[j] * PERIOD THEN
@@ -257,8 +256,25 @@ ST_SHAPING = """\
     END_IF;
     before := m[j];
     m[j] := MODEL[j, 1] * before + MODEL[j, 2] * n[j] + MODEL[j, 3] * s[j];
-    n[j] := MODEL[j, 4] * before + MODEL[j, 5] * n[j] + MODEL[j, 6] * s[j];
+$kept    n[j] := MODEL[j, 4] * before + MODEL[j, 5] * n[j] + MODEL[j, 6] * s[j];
+$accelerate"""
+ST_ACCELERATE = """\
+    acceleration[j] := CHANGE[j, 1] * (s[j] - m[j]) + CHANGE[j, 2] * n[j] + CHANGE[j, 3] * n_before;
 """
+ST_COMPENSATION = Template("""\
+    IF i = $i THEN (* $effect *)
+        moved := 0.0;
+        FOR j := 1 TO NY DO
+            moved := moved + POSITION_$k[j] * $aim$moved;
+        END_FOR;
+        node := 1;
+        WHILE node < POINTS_$k - 1 AND moved >= ADDED_${k}_AT[node + 1] DO
+            node := node + 1;
+        END_WHILE;
+        own := own + ADDED_$k[node] + (ADDED_$k[node + 1] - ADDED_$k[node])
+            / (ADDED_${k}_AT[node + 1] - ADDED_${k}_AT[node]) * (moved - ADDED_${k}_AT[node]);
+    END_IF;
+""")
 ST_CURVE = Template("""\
 IF i = $i THEN (* on straight lines through the nodes, and on along the first and the last one *)
     node := 1;
@@ -279,13 +295,18 @@ ST_CLAMPING = """\
 def st_code(law: ScheduledPID, name: str) -> str:
     """A FUNCTION_BLOCK of that name, all numbers LREAL."""
     scheduled, sizes = law.schedule is not None, table_sizes(law)
-    gains = (ST_GAINS + ST_GAIN_OF_RATES * law.shaped) * scheduled
-    named = {key: f"gain_{key[1]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr", "Ka")}
+    accelerated, fed = bool(law.Kaa.any()), ["Ka"] * law.shaped + ["Kaa"] * bool(law.Kaa.any())
+    of_rates = (Template(ST_GAIN_OF_RATES).substitute(gain=f"gain_{key[1:]}", K=key.upper()) for key in fed)
+    gains = (ST_GAINS + "".join(of_rates)) * scheduled
+    named = {key: f"gain_{key[1:]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr", "Ka", "Kaa")}
     inputs = _st_schedules(law) if scheduled else []
     kind = f"ARRAY[1..{len(inputs)}] OF LREAL" if len(inputs) > 1 else "LREAL"
     weights = _st_scheduling(law) if scheduled else ""
     curves = _st_curves(law, "v", "wanted", 0)
-    counted = re.findall(r"\w+", weights + gains + curves)  # a constant that nobody reads is refused by some compilers
+    compensating = "".join(_st_compensation(law, k) for k in range(len(law.compensations)))
+    counted = re.findall(
+        r"\w+", weights + gains + curves + compensating
+    )  # a constant that nobody reads is refused by some compilers
     names = {"outputs": law.measured, "references": law.references, "inputs": law.actuated}
     words = {
         "name": name, "head": "\n".join(plain_comment(line) for line in head_lines(law)),
@@ -294,11 +315,24 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "tables": "\n".join(_st_table(table, sizes) for table in tables(law)),
         "schedule_in": f"    schedule : {kind}; (* rho: {plain_comment(channels(law, schedules_of(law)))} *)\n" * scheduled,
         "schedule_out": "    outside : BOOL; (* the schedule is outside the span of the gains, or no number *)\n" * scheduled,
-        "locals": ST_CURVE_LOCALS * bool(law.curves) + (_st_locals(law, sizes) if scheduled else ""),
+        "locals": "".join(
+            [
+                ST_CURVE_LOCALS * bool(law.curves), "    node : INT;\n" * bool(law.curves or law.compensations),
+                "    moved : LREAL; (* where a compensation's curve is read *)\n" * bool(law.compensations),
+                f"    n_before : LREAL;\n    acceleration : ARRAY[1..{sizes['NY']}] OF LREAL;\n" * accelerated,
+                _st_locals(law, sizes) if scheduled else "",
+            ]
+        ),
         "weights": weights,
         "finite": " AND ".join(f"({own.schedule} - {own.schedule} = 0.0)" for own in inputs) or "TRUE",
         "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": gains, **named,
-        "Ka": f"        own := own + {named['Ka']} * n[j];\n" * law.shaped, "shaping": ST_SHAPING * law.shaped,
+        "Ka": f"        own := own + {named['Ka']} * n[j];\n" * law.shaped
+        + f"        own := own + {named['Kaa']} * acceleration[j];\n" * accelerated,
+        "shaping": Template(ST_SHAPING).substitute(
+            begins="measured[j] + AT_SETPOINT[j] * (set_point[j] - measured[j])" if law.paths.any() else "measured[j]",
+            kept="    n_before := n[j];\n" * accelerated, accelerate=ST_ACCELERATE * accelerated,
+        ) * law.shaped,
+        "compensating": compensating,
         "shaping_state": Template(ST_SHAPING_STATE).substitute(ny=sizes["NY"]) * law.shaped,
         "m": "m" if law.shaped else "r", "aim": "m[j]" if law.shaped else "set_point[j]",
         "held": _st_curves(law, "last[i]", "arrives", 8), "arrived": "arrives" if law.curves else "last[i]",
@@ -309,6 +343,15 @@ def st_code(law: ScheduledPID, name: str) -> str:
         ),
     }  # fmt: skip
     return ST_BLOCK.substitute(words)
+
+
+def _st_compensation(law: ScheduledPID, k: int) -> str:
+    """Statements that add a compensation to its command."""
+    own, moved = law.compensations[k], f" + MOTION_{k + 1}[j] * n[j]" * law.shaped
+    return ST_COMPENSATION.substitute(
+        i=law.actuated.index(own.input) + 1, k=k + 1, effect=plain_comment(f"compensation of {own.effect}"),
+        aim="m[j]" if law.shaped else "set_point[j]", moved=moved,
+    )  # fmt: skip
 
 
 def _st_curves(law: ScheduledPID, at: str, to: str, indent: int) -> str:
@@ -370,7 +413,7 @@ def _st_weights(basis: Basis) -> str:
 def _st_locals(law: ScheduledPID, sizes: dict[str, int]) -> str:
     """Variables that only a scheduled law has."""
     own = [name for name in ("share", "top", "total", "x") if re.search(rf"\b{name} :=", _st_scheduling(law))]
-    own += ["gain_a"] if law.shaped else []
+    own += ["gain_a"] * law.shaped + ["gain_aa"] * bool(law.Kaa.any())
     inputs = _st_schedules(law)
     rho = "".join(f"    {v.rho} : LREAL; (* {v.schedule} within SPAN *)\n" for v in inputs)
     if len(inputs) > 1:

@@ -66,11 +66,14 @@ def head_lines(law: ScheduledPID) -> list[str]:
     """What a reader of the text has to know before the first line of it."""
     scheduled = law.schedule is not None
     back = isinstance(law.anti_windup, BackCalculation)
-    m, rate = ("m", " + KA n") if law.shaped else ("r", "")
+    m, rate = ("m", " + KA n" + " + KAA n'" * bool(law.Kaa.any())) if law.shaped else ("r", "")
+    rate += " + what compensates" * bool(law.compensations)
     wanted, arrives = ("the command of which v arrives,", "(what arrives of u)") if law.curves else ("v", "u")
     shaping = [
         "s  = r within SLEW PERIOD of the last s; at the start the last s is y",
         "m, n = MODEL (m-, n-, s): a critically damped reference model and its rate; it starts from rest at y",
+        *(["     of a path m is s itself, and n its difference from the last; it starts at r"] if law.paths.any() else []),
+        *(["n' = CHANGE (s - m, n, n-): the acceleration"] if law.Kaa.any() else []),
     ]
     return [
         f"PID law '{law.name}' by {program()}. Change the law there, not this text.",

@@ -119,7 +119,49 @@ def test_the_rate_of_a_reference_model_is_fed_forward():
         law = ScheduledPIDDesign(reference_model={"y": 2.0}).on(swinging(zeta))
         np.testing.assert_allclose(law.Ka, 2.0 * zeta + 0.05, atol=1e-6)
         np.testing.assert_allclose(law.Kr, 1.0, atol=1e-9)
+        np.testing.assert_allclose(law.Kaa, 1.0 + 0.1 * zeta + 0.1**2 / 6.0 * 0.5, atol=2e-3)  # s^2, and what half a sample makes
     assert not ScheduledPIDDesign(reference_model={"y": 2.0}, feedforward=False).on(swinging(1.0)).Ka.any()
+
+
+def followed(law, zeta, r):
+    """Output of the oscillator under set-points r, from rest at 2."""
+    flow = expm(np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * zeta, 1.0], [0.0, 0.0, 0.0]]) * 0.1)
+    x, state, y = np.array([2.0, 0.0]), law.init(), []
+    for now in r:
+        y.append(x[0])
+        u, state = law.step(state, np.array([now]), x[:1])
+        x = (flow @ [*x, u[0]])[:2]
+    return np.array(y)
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.4, 1.0])
+def test_outputs_follow_reference_models_and_paths(zeta):
+    """m of a reference model is written out here; a path is followed itself. The PID alone would be late by its whole error."""
+    t = 0.1 * np.arange(400)
+    r = np.where(t < 5.0, 2.0, 3.0)
+    law = ScheduledPIDDesign(reference_model={"y": 1.5}).on(swinging(zeta))
+    passed = np.maximum(t - 5.0 + 0.1, 0.0)  # a step at a sample acts from the one before on: it was held since then
+    m = 2.0 + 1.0 - (1.0 + 1.5 * passed) * np.exp(-1.5 * passed)
+    assert np.abs(followed(law, zeta, r) - m).max() < 0.06
+    plain = replace(law, c=0.0 * law.c, Kaa=0.0)
+    assert np.abs(followed(plain, zeta, r) - m).max() > 0.12
+    share = np.clip(t / 8.0 - 0.5, 0.0, 1.0)
+    path = 2.0 + share**3 * (10.0 + share * (6.0 * share - 15.0))
+    law = ScheduledPIDDesign(paths=("y",)).on(swinging(zeta))
+    assert law.paths.all()
+    assert np.isinf(law.bandwidth).all()
+    assert np.abs(followed(law, zeta, path) - path).max() < 0.009  # an acceleration is a sample late
+    bare = ScheduledPIDDesign(reference_model={"y": np.inf}).on(swinging(zeta))
+    assert np.abs(followed(bare, zeta, path) - path).max() > 0.03
+
+
+def test_paths_that_make_no_sense_are_refused():
+    with pytest.raises(InputError, match="unknown output 'z'"):
+        ScheduledPIDDesign(paths=("z",)).design(swinging(0.4))
+    with pytest.raises(InputError, match="nothing is fed forward"):
+        ScheduledPIDDesign(paths=("y",), feedforward=False)
+    with pytest.raises(InputError, match="a path goes through no reference model"):
+        ScheduledPIDDesign(paths=("y",), reference_model={"y": 2.0})
 
 
 def test_what_is_said_of_set_points_stays():

@@ -15,7 +15,7 @@ from controllers.code.structured_text import st_code
 from controllers.code.text import WIDTH
 from controllers.mpc import design_mpc
 from controllers.pid import pid
-from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID
+from controllers.scheduled_pid import BackCalculation, Clamping, Compensation, ScheduledPID
 from controllers.tables import gain_csv, gain_table, mpc_matrices
 from plants import WEB_WINDING
 from studies.experiments import plan
@@ -51,6 +51,18 @@ def drawn(seed, nu, ny, basis=None, m=1, span=(0.011, 0.0264), **options) -> Sch
     )  # fmt: skip
 
 
+RUB = Curve("V2", [-0.6, -0.1, 0.1, 0.5, 0.9], [-1.1, -0.7, 0.8, 1.0, 1.4])
+STICK = Curve("V1", [-0.4, 0.2, 0.3], [0.9, -0.6, -0.2])
+ADDED = (  # two effects, of position and motion both
+    Compensation("V2", "coulomb@reel", [0.4, -0.3, 0.2], [0.11, 0.07, -0.05], RUB, "v [m/s]"),
+    Compensation("V1", "stribeck@spindle */", [-0.2, 0.5, 0.35], [0.03, -0.08, 0.13], STICK),
+)
+STILL = (Compensation("V3", "outflow@tank", [0.4, -0.3, 0.2], [0.0, 0.0, 0.0], Curve("V3", [-0.6, 0.1, 0.5], [1.1, 0.2, 0.6])),)
+FED = {
+    "Ka": np.random.default_rng(41).normal(size=(3, 2, 3)),
+    "Kaa": 0.1 * np.random.default_rng(42).normal(size=(3, 2, 3)),
+    "slew": (0.7, np.inf, 2.0),
+}
 LAWS = {
     "2x3 over knots": drawn(1, 2, 3, KNOTS, 3),
     "span within the knots, clamping": drawn(2, 2, 3, KNOTS, 3, span=(0.0118, 0.02), anti_windup=Clamping()),
@@ -98,6 +110,11 @@ LAWS = {
     "a reference model of a fixed law": drawn(19, 2, 2, bandwidth=(9.0, np.inf), Ka=[[[0.3, 0.0], [-0.2, 0.0]]]),
     "curves over knots": drawn(20, 3, 2, KNOTS, 3, curves=(SQUARE, VALVE)),
     "a curve, clamping, a reference model": drawn(21, 1, 2, anti_windup=Clamping(), curves=(VALVE,), bandwidth=(9.0, 4.0)),
+    "accelerations over knots": drawn(22, 2, 3, KNOTS, 3, **FED, bandwidth=(9.0, 40.0, np.inf), compensations=ADDED),
+    "paths of a fixed law, slewed": drawn(
+        23, 2, 2, slew=(0.7, np.inf), Ka=[[[0.3, -0.1], [-0.2, 0.4]]], Kaa=[[[0.03, 0.01], [-0.02, 0.04]]]
+    ),
+    "compensation of what stands still, a curve": drawn(24, 3, 3, curves=(VALVE,), compensations=STILL, anti_windup=Clamping()),
     "no limits": drawn(13, 2, 3, low=(-np.inf,) * 2, high=(np.inf,) * 2, rate=(np.inf,) * 2),
 }
 
@@ -264,10 +281,20 @@ OF_A_REFERENCE_MODEL = {
     "error from r": ("(s->m[j] - y[j])", "(r[j] - y[j])"), "weighted r": ("B[j] * s->m[j]", "B[j] * r[j]"),
     "derivative of r": ("C[j] * s->m[j]", "C[j] * r[j]"),
 }  # fmt: skip
+OF_FEEDFORWARD = {
+    "no acceleration": ("own += at(KAA[i][j], phi) * acceleration[j];", ";"), "one change for all": ("CHANGE[j]", "CHANGE[0]"),
+    "of the new rate": ("CHANGE[j][2] * n", "CHANGE[j][2] * s->n[j]"), "of the last m": ("(s->s[j] - s->m[j])", "(s->s[j] - m)"),
+    "a path from y": ("AT_SETPOINT[j] * (r[j] - y[j])", "0 * (r[j] - y[j])"),
+    "all from r": ("AT_SETPOINT[j] * (r[j]", "1 * (r[j]"), "at the other command": ("if (i == 1)", "if (i == 0)"),
+    "no motion": ("MOTION_1[j] * s->n[j]", "0"), "no position": ("POSITION_2[j] * s->m[j]", "0"),
+    "the other's motion": ("MOTION_2[j]", "MOTION_1[j]"), "the other's nodes": ("ADDED_2, POINTS_2", "ADDED_1, POINTS_2"),
+    "of the set-point itself": ("POSITION_1[j] * s->m[j]", "POSITION_1[j] * r[j]"),
+}  # fmt: skip
 OF_LAWS = {
     "": (drawn(1, 2, 3, KNOTS, 3, span=(0.0118, 0.025)), MISTAKES),
     " of several": (LAWS["grid of two"], OF_SEVERAL),
     " of a reference model": (LAWS["reference models over knots"], OF_A_REFERENCE_MODEL),
+    " of feedforward": (LAWS["accelerations over knots"], OF_FEEDFORWARD),
 }
 
 
@@ -449,7 +476,7 @@ def test_the_gain_tables_are_the_law_up_to_what_they_state(tmp_path, key):
     np.testing.assert_array_equal(numbers[:, :ns], at)
     axes = [np.unique(own) for own in at.T]  # the rows are their lattice, the last variable fastest
     np.testing.assert_array_equal(at, np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, ns))
-    found, span = dict.fromkeys(("Kp", "Ki", "Kd", "Kr", *("Ka",) * law.shaped, "u0"), 0.0), law.span.reshape(-1, 2)
+    found, span = dict.fromkeys((*law.gain_names, "u0"), 0.0), law.span.reshape(-1, 2)
     drawn_at = np.random.default_rng(1).uniform(
         span[:, 0] - 0.6 * np.ptp(span, axis=1), span[:, 1] + np.ptp(span, axis=1), (300, ns)
     )

@@ -4,6 +4,7 @@ import control
 import numpy as np
 import pytest
 
+from controllers.pid_design import FrozenPoint
 from workbench.steady import follows, gain, integrates, rests
 
 DT = 0.01
@@ -33,7 +34,7 @@ def test_what_holds_an_output_and_its_rate(num, den, Kr, Ka):
     np.testing.assert_allclose(C @ X + D @ U, [[1.0]])
     np.testing.assert_allclose(A @ X + B @ U, X, atol=1e-9)
     late = 0.5 * DT * Kr
-    np.testing.assert_allclose(follows(A, B, C, D, DT * X), [[Ka + late]], atol=2e-3 * max(abs(Ka), 0.01))
+    np.testing.assert_allclose(follows(A, B, C, D, DT * X)[1], [[Ka + late]], atol=2e-3 * max(abs(Ka), 0.01))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -46,7 +47,7 @@ def test_outputs_follow_a_ramp_without_being_late(seed):
     B, C, D = random.normal(size=(3, 2 + seed % 3 // 2)), random.normal(size=(2, 3)), np.zeros((2, 2 + seed % 3 // 2))
     assert integrates(A)
     X, U = rests(A, B, C, D)
-    V = follows(A, B, C, D, DT * X)
+    V = follows(A, B, C, D, DT * X)[1]
     rate = random.normal(size=2)
     W = np.linalg.lstsq(np.vstack([np.eye(3) - A, C]), np.vstack([B @ V - DT * X, -D @ V]), rcond=None)[0]
     x = W @ rate
@@ -94,5 +95,35 @@ def test_units_do_not_matter(unit):
     x = 10.0 ** np.linspace(-3.0, 3.0, len(A))
     X, U = rests(A / x[:, None] * x, B / x[:, None] * unit, C * x, D)
     np.testing.assert_allclose(U * unit, 0.0, atol=1e-6)
-    V = follows(A / x[:, None] * x, B / x[:, None] * unit, C * x, D, DT * X)
+    V = follows(A / x[:, None] * x, B / x[:, None] * unit, C * x, D, DT * X)[1]
     np.testing.assert_allclose(V * unit, 20.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_outputs_follow_a_parabola_at_the_samples(seed):
+    """Two outputs, with an integrator or without, along u = Kr r + Ka r' + Kaa r'', from the states that move with r."""
+    random = np.random.default_rng([72, seed])
+    T = random.normal(size=(4, 4))
+    A = T @ np.diag([[1.0, 0.7, -0.2, 0.5], [0.9, 0.8, 0.5, 0.3]][seed % 2]) @ np.linalg.inv(T)
+    B, C, D = random.normal(size=(4, 2)), random.normal(size=(2, 4)), np.zeros((2, 2))
+    scale = np.array([2.0, 0.03])
+    point = FrozenPoint(None, DT, A, B, C, D, scale, np.zeros((4, 2)), np.eye(2), integrates(A))
+    Kr, Ka, Kaa = point.held(np.ones((2, 2), dtype=bool))
+    a, b, c = random.normal(size=(3, 2))
+
+    def u(k):
+        t = DT * k
+        return Kr @ (a + b * t + 0.5 * c * t**2) + Ka @ (b + c * t) + Kaa @ c
+
+    # states that move with r are a parabola too: x = X0 + X1 k + X2 k^2, with x(k + 1) = A x(k) + B u(k) at every k
+    u0, u1, u2 = u(0), (u(1) - u(-1)) / 2.0, (u(1) + u(-1)) / 2.0 - u(0)
+    rest = lambda forced, rate: np.linalg.lstsq(  # noqa: E731
+        np.vstack([np.eye(4) - A, C]), np.concatenate([B @ forced - rate[0], rate[1]]), rcond=None
+    )[0]
+    X2 = rest(u2, (np.zeros(4), 0.5 * c * DT**2))
+    X1 = rest(u1, (2.0 * X2, b * DT))
+    x = rest(u0, (X1 + X2, a))
+    for k in range(60):
+        t = DT * k
+        np.testing.assert_allclose(C @ x, a + b * t + 0.5 * c * t**2, atol=1e-6)
+        x = A @ x + B @ u(k)

@@ -74,7 +74,7 @@ def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) ->
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     rest[own], step[own] = _inside(law, rest[own], step[own])
     settling = _settling(straight, model, step[own])
-    references = _path(rest, step, settling)
+    references = _path(rest, step, settling, [name in smooth(law) for name in names])
     N = len(references)
     if model.schedules and follows is None and N < ALONG:
         references, N = np.repeat(references, -(-ALONG // N), axis=0), N * -(-ALONG // N)
@@ -108,7 +108,8 @@ def on_plant(law: Any, plant: Plant, model: Model) -> Trial:
         step[j] = max(inner, key=lambda end: abs(end - rest[j])) - rest[j]
     settling, every = _settling(straight, model, step), max(1, round(law.dt / plant.dt))
     for share in (1.0,) if known else SHARES:
-        path = np.repeat(_path(rest, share * step, settling), every, axis=0)
+        paths = [name in smooth(law) for name in law.measured[: len(law.references)]]
+        path = np.repeat(_path(rest, share * step, settling, paths), every, axis=0)
         if not (trial := along(law, plant, path, settling * every)).lost:
             break
     return trial
@@ -154,12 +155,24 @@ def _scenario(law: Any, references: np.ndarray, start: dict[str, float] | None =
     return Scenario("trial", dict(zip(law.references, references.T, strict=True)), None, start or {})
 
 
-def _path(rest: np.ndarray, step: np.ndarray, hold: int) -> np.ndarray:
-    """Set-points (N, ny): at rest, then each output in turn a step away and back, held for so many samples each time."""
-    moved = [rest]
-    for j in range(len(rest)):
-        moved += [np.where(np.arange(len(rest)) == j, rest + step, rest), rest]
-    return np.repeat(np.array(moved), hold, axis=0)
+def smooth(law: Any) -> list[str]:
+    """The outputs whose set-points are paths to a law: their differences are fed forward, and a step is none of them."""
+    return [name for name, path in zip(law.measured, getattr(law, "paths", ()), strict=False) if path]
+
+
+def _path(rest: np.ndarray, step: np.ndarray, hold: int, smooth: Sequence[bool]) -> np.ndarray:
+    """Set-points (N, ny): at rest, then each output in turn a step away and back, held for so many samples each time; of a smooth
+    one over as many samples as it is held.
+    """
+    share = np.linspace(0.0, 1.0, hold)[:, None]
+    share = share**3 * (10.0 + share * (6.0 * share - 15.0))  # from rest to rest
+    found = [np.tile(rest, (hold, 1))]
+    for j, way in enumerate(smooth):
+        away = np.where(np.arange(len(rest)) == j, rest + step, rest)
+        for begin, end in ((rest, away), (away, rest)):
+            found += [begin + share * (end - begin)] * bool(way)
+            found.append(np.tile(end, (hold, 1)))
+    return np.concatenate(found)
 
 
 def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
@@ -194,7 +207,7 @@ def _settling(law: Any, model: LPVModel, step: np.ndarray) -> int:
     """Samples in which the slowest frozen loop settles after steps (nr,) of its set-points, however late it lets them arrive."""
     planned = not hasattr(law, "at")
     linear, slowest = getattr(law, "fallback", law), 0.0
-    if not without_linear_form(linear):
+    if not without_linear_form(getattr(linear, "uncompensated", linear)):
         for rho in model.frozen_values(POINTS):
             slowest = max(slowest, float(np.abs(closed_loop(linear, model, rho).system.poles).max()))
     samples = LONGEST if slowest >= 1.0 else SETTLED / -np.log(max(slowest, 1e-6))
@@ -209,8 +222,9 @@ def _judged(where: str, law: Any, r: np.ndarray, y: np.ndarray, units: Sequence[
     stays = [(int(a), int(b)) for a, b in zip((0, *changes), (*changes, len(r)), strict=True) if b - a >= settling]
     over, settled = np.zeros(len(size)), np.zeros(len(size))
     kicks = np.zeros((len(size), len(size)))  # of each output by steps of each set-point
+    before = r[0]
     for begun, end in stays:
-        moved = r[begun] - r[begun - 1] if begun else np.zeros(len(size))
+        moved, before = r[begun] - before, r[begun]
         beyond = (np.sign(moved) * (y[begun:end] - r[begun])).max(axis=0)
         over = np.where(moved != 0.0, np.maximum(over, beyond / np.maximum(np.abs(moved), 1e-300)), over)
         away = np.abs(y[begun:end] - r[begun])
