@@ -25,6 +25,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -250,6 +251,16 @@ class ScheduledPID:
         for k, r in enumerate(references):
             found[k] = last = _near(last, self.slew * self.dt, r)
         return found
+
+    def aimed(self, references: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """m and m' (N, ny) of set-points (N, ny), from a start at measurements y (ny,)."""
+        K: Any = SimpleNamespace(slew=self.slew * self.dt, reference_model=self.reference_model, acceleration=self.acceleration)
+        state, m, rates = self._split(self.init()), np.array(references, dtype=float), np.zeros(np.shape(references))
+        for k, r in enumerate(references if self.shaped else ()):
+            aim = self._aim(K, state, r, y)
+            m[k], rates[k] = aim.m, aim.rate
+            state = state._replace(s=aim.s, m=aim.m, rate=aim.rate, cold=0.0)
+        return m, rates
 
     def arrival(self, step: np.ndarray) -> float:
         """Seconds in which m has come to its set-points after steps (ny,) of them: 96 % of the way."""

@@ -19,6 +19,7 @@ from workbench.hammerstein import load_either
 from workbench.intervals.model import SCHEMA as INTERVAL_MODEL
 from workbench.lpv import SCHEMA as MODEL
 from workbench.physics.controller import check_controller
+from workbench.physics.extension import SCHEMA as PLANT_SCHEMA
 from workbench.physics.extension import load_extension
 from workbench.physics.identified import identified
 from workbench.physics.plant import Plant
@@ -126,6 +127,14 @@ def _is_model(text: str) -> bool:
         return False
     content = read_json(text)
     return isinstance(content, dict) and content.get("schema") in (MODEL, CURVED_MODEL, INTERVAL_MODEL)
+
+
+def is_plant(text: str) -> bool:
+    """Whether this names a plant, and not a model in a file."""
+    if not text.endswith(".json") or not Path(text).is_file():
+        return "+" in text or not text.endswith(".json")
+    content = read_json(text)
+    return isinstance(content, dict) and content.get("schema") == PLANT_SCHEMA
 
 
 def _base_plant(text: str) -> Plant:

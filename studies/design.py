@@ -2,11 +2,13 @@
 
 from argparse import Namespace
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from controllers.compensation import Compensated, compensated
 from controllers.designs import ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
@@ -16,21 +18,23 @@ from controllers.pid_design import PIDDesign
 from controllers.scheduled_pid import ScheduledPID
 from controllers.tables import curve_csv, gain_csv
 from controllers.tube import taken
-from studies.arguments import Chosen, choose_plant, names, numbers, parse_numbers, run_folder
+from studies.arguments import Chosen, choose_plant, is_plant, names, numbers, parse_numbers, run_folder
 from studies.cli import DONE
 from studies.referee import handed_out
+from workbench.answers.answer import PLANT_FILE
 from workbench.answers.comparison import curve_picture
 from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError, check_known
-from workbench.files import nullable, write_json, write_text
+from workbench.files import nullable, read_json, write_json, write_text
 from workbench.hammerstein import Model, core_of, curves_of, load_either
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
+from workbench.physics.linearised import linearised
 from workbench.provenance import provenance
 from workbench.readers import read_file
-from workbench.report.blocks import Picture, Report, Section
+from workbench.report.blocks import Picture, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
 from workbench.steady import rests
@@ -44,21 +48,36 @@ KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 def design(options: Namespace, say: Say, progress: Say) -> int:
     """Design the law that was asked for and write its files."""
     kind = check_known("controller", options.kind, KINDS)
-    model = load_either(options.model)
+    model = _model(options)
     if kind != "mpc" and options.tube:
         raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
+    if kind in ("mpc", "nmpc") and options.diagnosis:
+        raise InputError("--diagnosis is for PIDs", mend=f"design {kind} without it, or scheduled-pid with it")
     if kind in ("mpc", "nmpc"):
-        return _design_planning(options, kind, load_model(options.model), say, progress)
+        return _design_planning(options, kind, model if isinstance(model, LPVModel) else load_model(options.model), say, progress)
     return _design_pid(options, kind, model, say, progress)
+
+
+def _model(options: Namespace) -> Model:
+    """The model in a file, or that of a plant about its start."""
+    if is_plant(options.model):
+        return linearised(choose_plant(options.model).plant, options.dt)
+    if options.dt:
+        raise InputError("--dt is for a plant as --model", mend="leave it out: a model has its sample time")
+    return load_either(options.model)
 
 
 def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
-    chosen, model = choose_plant(options.plant) if options.plant else None, core_of(whole)
+    chosen, model = _tried_on(options), core_of(whole)
     wanted = _wanted(options, kind, model)
     found = wanted.design(whole, progress)
     progress("one run of the loop")
     found, trial = wanted.calmed(found, whole, chosen.plant if chosen else None)
+    became: tuple[Compensated, ...] = ()
+    if options.diagnosis and chosen and not trial.lost:
+        law, became = compensated(found.law, chosen.plant, read_json(options.diagnosis), options.diagnosis, progress)
+        found, trial = replace(found, law=law), tried(law, whole, chosen.plant)
     code = _told(options, trial, model, say)
     bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]
     folder = run_folder(options.out, "design")
@@ -72,7 +91,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
         over = worst_margins(inner, models, model.frozen_values(POINTS), bounds, found.scale)
     _write_margins(over, model, folder / "margins.csv")
     _say_margins(found, over, model, say)
-    moved = _deviations_said(found, model, options.fixed_gains)
+    moved = [*(own.sentence for own in became), *_deviations_said(found, model, options.fixed_gains)]
     for sentence in moved:
         say(sentence)
     if said := _setpoints_said(found.law, model, wanted, trial):
@@ -88,6 +107,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
     pictures = design_pictures({kind: inner}, models, bounds, found.scale)
     sections, curves = [Section("Design", pictures)], _curve_pictures(whole)
     sections += [Section("Curves of actuators, which the law inverts", curves)] * bool(curves)
+    sections += [Section("What the diagnosis named", (_became(became),))] * bool(became)
     said = " ".join(map(ended, (trial.sentence, _worst_said(found, over, model), *moved)))
     page = Report(f"{kind} on {model.name}", said, tuple(sections))
     say(f"pictures -> {write_report(page, folder)}")
@@ -96,10 +116,40 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
         "integral_action": {"reached": found.low_frequency, "alone": found.alone},
         "deviation": {"loads": vars(found.loads), "reached": found.deviation, "best_linear_law": found.least,
                       "fixed_gains": found.unmoved},
-        "trial": vars(trial),
+        "trial": vars(trial), "compensations": [vars(own) for own in became],
     }  # fmt: skip
-    read = [options.model, *options.robust_to, *(chosen.files if chosen else ())]
+    read = [
+        options.model,
+        *options.robust_to,
+        *([options.diagnosis] if options.diagnosis else []),
+        *(chosen.files if chosen else ()),
+    ]
     return _finished(options, folder, path, result, read, say) or code
+
+
+def _tried_on(options: Namespace) -> Chosen | None:
+    """The plant that the law is tried on: as given, or the one that the diagnosis has extended."""
+    if options.plant or not options.diagnosis:
+        return choose_plant(options.plant) if options.plant else None
+    extended = Path(options.diagnosis).with_name(PLANT_FILE)
+    if not extended.is_file():
+        mend = f"give --plant my_plant.py:NAME+{PLANT_FILE}, or diagnose again"
+        raise InputError(f"no {PLANT_FILE} beside it: the diagnosis handed no plant out", file=options.diagnosis, mend=mend)
+    return choose_plant(str(extended))
+
+
+def _became(became: Sequence[Compensated]) -> Table:
+    """What became of every cause, and errors of the machines drawn within its intervals."""
+    rows = tuple(
+        (
+            own.effect, "yes" if own.done else "no", *(100.0 * np.median(e) if len(e) else None for e in (own.before, own.after)),
+            float(np.max(own.after / own.before)) if len(own.after) else None,
+        )
+        for own in became
+    )  # fmt: skip
+    header = ("cause", "cancelled", "error without [%]", "error with [%]", "largest ratio of a machine")
+    caption = "Root mean square error of set-points that are followed, of the outputs' ranges, in the middle of the machines."
+    return Table("Cancelled by feedforward", header, rows, caption, digits=3)
 
 
 def _told(options: Namespace, trial: Trial, model: LPVModel, say: Say) -> int:
@@ -199,7 +249,8 @@ def _plant_of(options: Namespace, kind: str) -> Chosen | None:
 def _finished(options: Namespace, folder: Path, path: Path | None, result: dict, files: list[str], say: Say) -> int:
     if path:
         say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
-        say(f"      workbench check --controller {path} --limits limits.toml --model {options.model} --records ..")
+        on = f"--plant {options.model}" if is_plant(options.model) else f"--model {options.model} --records .."
+        say(f"      workbench check --controller {path} --limits limits.toml {on}")
     configuration = {key: value for key, value in vars(options).items() if key != "json"}
     whole = {"controller": str(path) if path else None} | result | {"provenance": provenance(configuration, files)}
     write_json(folder / "design.json", nullable(whole))

@@ -113,7 +113,11 @@ def _diagnose(sub: argparse.ArgumentParser) -> None:
 
 def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("kind", metavar="LAW", help="scheduled-pid, pid (fixed gains), mpc, or nmpc (on the plant's own equation)")
-    sub.add_argument("--model", required=True, metavar="MODEL", help="model file written by identify")
+    sub.add_argument(
+        "--model", required=True, metavar="MODEL", help="model file written by identify; or a plant without schedule, such as "
+        "found/extended.json, for its linear model about its start",
+    )  # fmt: skip
+    sub.add_argument("--dt", type=float, metavar="S", help="a plant as --model: sample time of the law (default: the plant's)")
     knots = "scheduled-pid: schedule values with own gains (default 5), of several variables for all or for each (default 3)"
     sub.add_argument("--knots", metavar="N[,N..]", help=knots)
     sub.add_argument("--at", metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
@@ -184,6 +188,10 @@ def _design(sub: argparse.ArgumentParser) -> None:
         "--no-feedforward", action="store_true", help="leave it to the integral to find the commands that hold a new set-point"
     )
     sub.add_argument("--plant", metavar="PLANT", help=f"try the law on it, not on the model; nmpc predicts with it: {PLANT_HELP}")
+    sub.add_argument(
+        "--diagnosis", metavar="FILE", help="pid, scheduled-pid: diagnosis.json of causes that the law cancels before the loop, "
+        "where that pays (default of --plant: the extended.json beside it)",
+    )  # fmt: skip
     sub.add_argument(
         "--solver",
         default="real-time-iteration",

@@ -16,7 +16,7 @@ from workbench.answers.calibrate import traces
 from workbench.answers.verdict import ended, next_step, sentences, stated, where
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.answer import Cause, Diagnosis, Finding, NextExperiment
-from workbench.diagnosis.calibrate import trajectories
+from workbench.diagnosis.calibrate import Trajectory, trajectories
 from workbench.diagnosis.diagnosis import diagnose as searched
 from workbench.diagnosis.domains import shown
 from workbench.diagnosis.experiments import Template, proposable
@@ -35,6 +35,7 @@ from workbench.report.page import write_report
 DIAGNOSIS_FILE = "diagnosis.json"
 EXPERIMENT_FILE = "next_experiment.csv"
 WINDOW = 60  # samples of a picture that shows a shift in time
+FASTEST = 0.99  # share of an output's moves that are no faster than its rate
 
 
 def diagnose(
@@ -104,7 +105,8 @@ class DiagnosisResult(PlantAnswer):
 
     def to_dict(self) -> dict[str, Any]:
         """The contract of a diagnosis, with what was tested, what looks alike, and the errors at each stage; a NaN is None."""
-        return to_dict(self.diagnosis) | {"stages": nullable([vars(e) for e in self.stages.errors])}
+        errors = nullable([vars(e) for e in self.stages.errors])
+        return to_dict(self.diagnosis) | {"stages": errors, "moved": moved(self.plant, self.stages.extended)}
 
     def to_frame(self) -> Any:
         """Causes as a pandas table: effect, place, number, value, low, high, unit, sure. Raises ImportError without pandas."""
@@ -145,6 +147,22 @@ class DiagnosisResult(PlantAnswer):
         return folder
 
     __repr__ = Answer.said
+
+
+def moved(plant: Plant, runs: Sequence[Trajectory]) -> dict[str, dict[str, float]]:
+    """Where each output was along records, low and high, and its rate per second, which 99 % of its moves do not exceed.
+
+    Of the simulated output, which has no noise; where that left its range, of the predicted one.
+    """
+    found = {}
+    for j, name in enumerate(plant.output_names):
+        own = [(run.t, run.simulated[:, j] if np.isfinite(run.simulated[:, j]).all() else run.predicted[:, j]) for run in runs]
+        y = np.concatenate([values for _, values in own])
+        rates = np.concatenate([np.abs(np.diff(values) / np.diff(t)) for t, values in own])
+        if np.isfinite(y).any():
+            rate = float(np.quantile(rates[np.isfinite(rates)], FASTEST))
+            found[name] = {"low": float(np.nanmin(y)), "high": float(np.nanmax(y)), "rate": rate}
+    return found
 
 
 # ---- files -------------------------------------------------------------------------------------------------------------------

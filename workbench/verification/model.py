@@ -75,6 +75,8 @@ def on_model(
     InputError for limits that ask for what the loop does not have.
     """
     model, of, several = left.model, f"model {left.model.name}", len(left.model.schedules) > 1
+    if getattr(law, "compensations", ()):
+        return _before_the_loop(left, law, limits, plant, nodes=nodes, rate=rate, driver=driver, progress=progress)
     nodes = nodes or (FEWER if several else NODES)
     compared = [rho for n in ((nodes,) if several else (nodes, COMPARED)) for rho in model.frozen_values(n) if rho is not None]
     if said := without_linear_form(law, compared):
@@ -91,6 +93,17 @@ def on_model(
     if run is not None:
         _bounds(found, left, law, limits, run, of, progress)
     return Part(TITLE, tuple(found.verdicts), tuple(found.blocks), found.witnesses)
+
+
+def _before_the_loop(left: Open, law: Any, limits: LoopLimits, plant: Plant | None, **options: Any) -> Part:
+    """The loop of a law that compensates effects by curves over its set-points: they are not in it, but in every run."""
+    said = "the law adds curves over its set-points, of which nothing is proved along a run: simulate runs it"
+    for own in limits.limits:
+        unit_of(own, {c.name: c.unit for c in (*left.model.inputs, *left.model.outputs)})  # refuses what is no signal
+    along = claimed(replace(limits, stable=False, margin=None, sensitivity=None, disk=None))
+    unsaid = [Verdict(claim, f"model {left.model.name}", Status.UNDECIDED, math.nan, "", said) for claim in along]
+    loop = on_model(left, law.uncompensated, replace(limits, limits=()), plant, **options)
+    return replace(loop, verdicts=(*loop.verdicts, *unsaid))
 
 
 class _Found(NamedTuple):

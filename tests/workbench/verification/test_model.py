@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from controllers.pid import pid
+from controllers.scheduled_pid import Compensation
 from workbench.basis import CONSTANT, Powers
+from workbench.curves import Curve
 from workbench.data import Channel
+from workbench.errors import InputError
 from workbench.intervals.domains.shapes import Box
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
@@ -15,11 +18,11 @@ from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
 from workbench.robustness.envelopes.course import nominal
-from workbench.robustness.limits import Limit
+from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
 from workbench.robustness.loop import course, course_of, driven, with_rates
 from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.verdict import Bound, Status
-from workbench.verification.model import _asked, _by_the_law, _in_motion, _stops
+from workbench.verification.model import Open, _asked, _by_the_law, _in_motion, _stops, on_model
 
 DT, N = 0.1, 60
 BOTH = (Term(0), Term(1))
@@ -107,6 +110,22 @@ def test_a_reference_model_changes_nothing_of_a_loop_in_motion():
     )
     assert behind.status is plain.status is Status.PROVED
     assert behind.margin == pytest.approx(plain.margin, rel=0.01)
+
+
+def test_what_a_law_adds_over_its_set_points_is_in_no_loop_and_in_every_run():
+    """The loop is proved as before; of a run, in which the law commands otherwise than its linear form, nothing is."""
+    added = Compensation("u", "coulomb@shaft", [0.0], [1.0], Curve("u", [-1.0, 0.0, 1.0], [-0.5, 0.1, 0.5]))
+    known = Open(scheduled(), errors(), np.zeros((1, 3)))
+    run = Manoeuvre(4.0, {"y": ((0.0, 0.0), (1.0, 1.0))})
+    limits = LoopLimits((Limit("y", low=-9.0, high=9.0, unit="m"),), run, sensitivity=2.0)
+    plain, fed = (on_model(known, law, limits).verdicts for law in (LAW, replace(LAW, bandwidth=3.0, compensations=(added,))))
+    assert [v.claim for v in plain] == [*(v.claim for v in fed[:-1]), "y: low -9 m", "y: high 9 m"]
+    assert {v.status for v in plain} == {Status.PROVED, Status.PASSED}
+    assert fed[-1].claim == "y: low and high"
+    assert [v.status for v in fed] == [*(v.status for v in plain[:-2]), Status.UNDECIDED]
+    assert "curves over its set-points" in fed[-1].sentence
+    with pytest.raises(InputError, match="unknown"):
+        on_model(known, replace(LAW, compensations=(added,)), replace(limits, limits=(Limit("z", low=0.0),)))
 
 
 class Claiming:

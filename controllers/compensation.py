@@ -1,0 +1,317 @@
+"""What a diagnosis has named, cancelled: curves over the motion of the set-points, and inverse curves of actuators.
+
+    v+ = v + dRa m' + dRaa m'' + sum_k a_k h_k(s_k),     s_k = position m + motion m',     h: the effect's own law, against it
+
+It is before the loop and takes nothing of margins or stability: what depends on how fast something turns or slides is known as
+soon as the set-points are. How fast that is, s, is fitted to a run of the extended plant without effects. How much each command
+has to do, a, and what the rates fed forward are too much by, for the identified model took the effect for viscous friction, are
+fitted to runs of the extended plant with them (Gauss-Newton on what is left of m - y, from none): feedforward by basis
+functions.
+
+Nothing is cancelled that is not worth it: machines drawn within the 95 % intervals of the diagnosis follow the same set-points
+with it and without, and none may be worse.
+
+Sources: van de Wijdeven and Bosgra, "Using basis functions in iterative learning control", Int. J. Control 83 (2010), 661-675;
+Boeren, Bareja, Kok and Oomen, "Frequency-domain ILC approach for repeating and varying tasks", IEEE/ASME Trans. Mechatronics 21
+(2016), 2716-2727. On friction: Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30 (1994), section 5.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from controllers.scheduled_pid import Compensation, ScheduledPID
+from workbench.curves import Curve
+from workbench.errors import InputError, check_known
+from workbench.physics.effects.effect import FOREVER, Effect, Named
+from workbench.physics.effects.shaft import Shaft
+from workbench.physics.plant import Plant
+from workbench.records import field, record
+from workbench.robustness.falsify.box import ParameterBox, fitted_box_of
+from workbench.simulation import Scenario, simulate_batch
+
+DRAWN = 20  # machines that a compensation is tried on
+WORSE, WORTH = 1.02, 0.95  # times the error without it: of no drawn machine more, in the middle less
+MOVES, SLOWEST, STANDS = 8, 0.25, 0.3  # of the set-points; their slowest, of the fastest; how long they stand between, of a move
+INNER = 0.9  # of the range of the records, that set-points stay within
+EXPLAINED = 0.98  # of a speed's variance, by the set-points, for it to be known from them
+SLIGHT = 0.01  # of what moves a speed: what is less is left out
+STEPS, STEP = 4, 0.01  # of the fit; of a unit, for slopes
+SHARES, ENOUGH = (1.0, 0.5, 0.2), 0.99  # of a step, that are tried; ratio of squares from where on it is done
+RIDGE = 1e-4  # of what changes most: numbers that change nothing stay as they are
+SHORTEST, LONGEST = 20, 3000  # samples of a move
+NODES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)  # of a curve, in widths of the law's change of sign
+EVEN = 8  # nodes more, evenly up to the highest speed
+
+Say = Callable[[str], None]
+
+
+@record
+class Moved:
+    """Where an output was in the records of a diagnosis, and how fast it moved."""
+
+    low: float
+    high: float
+    rate: float
+
+
+@record
+class Compensated:
+    """What became of a cause: whether it is cancelled, in a sentence, and errors of m - y of the drawn machines as they would be
+    without and with it, root mean square over outputs in units of their ranges.
+    """
+
+    effect: str
+    done: bool
+    sentence: str
+    before: np.ndarray = field("n", default=())
+    after: np.ndarray = field("n", default=())
+
+
+def compensated(
+    law: ScheduledPID, plant: Plant, content: Any, path: Any = "diagnosis", progress: Say = lambda _: None
+) -> tuple[ScheduledPID, tuple[Compensated, ...]]:
+    """The law with what cancels causes that a diagnosis has named, where that pays, and what became of each.
+
+    plant: extended by the diagnosis. content: what is in its diagnosis.json; path: the file, for messages. Causes are taken in
+    the order of what they are worth. Raises InputError for content of another plant, or of no diagnosis.
+
+        >>> better, said = compensated(law, found.plant, found.to_dict())
+        >>> said[0].effect, said[0].done
+        ('coulomb@shaft', True)
+    """
+    box, moved = ParameterBox(plant, fitted_box_of(plant, content, path)), _moved(content, path)
+    if not (followed := np.isfinite(law.bandwidth) | law.paths).any():
+        why = "set-points that may step have no speed: give them a reference model or a path"
+        return law, tuple(Compensated(key, False, f"{key} is not cancelled: {why}") for key in plant.effects)
+    job, told = _Job(law, plant, moved, box), []
+    progress("feedforward on the extended plant")
+    units, commands = job.units(law, followed)
+    best = job.tuned(_Feedforward(law, followed, commands, units, np.zeros(len(units))))
+    before, errors = job.drawn(law), job.drawn(best.law)
+    if not _pays(before, errors):
+        best, errors = replace(best, numbers=np.zeros(len(best.units))), before
+    for key in plant.effects:
+        progress(f"compensation of {key}")
+        added = job.against(key, best)
+        if isinstance(added, str):
+            told.append(Compensated(key, False, f"{key} is not cancelled: {added}"))
+            continue
+        tried = job.tuned(added)
+        after = job.drawn(tried.law)
+        done = _pays(errors, after)
+        told.append(Compensated(key, done, _said(key, errors, after, done), errors, after))
+        best, errors = (tried, after) if done else (best, errors)
+    return best.law, tuple(told)
+
+
+def _pays(before: np.ndarray, after: np.ndarray) -> bool:
+    ratio = after / before
+    return bool(np.all(ratio <= WORSE) and np.median(ratio) <= WORTH)
+
+
+def _said(key: str, before: np.ndarray, after: np.ndarray, done: bool) -> str:
+    ratio = after / before
+    if done:
+        said = f"by {1.0 / np.median(ratio):.3g} in the middle and {1.0 / ratio.max():.3g} at least"
+        return f"{key} is cancelled: errors of set-points are less {said}, on {len(ratio)} machines drawn within its intervals"
+    worst = "left its range" if not np.isfinite(ratio.max()) else f"would have errors {ratio.max():.3g} times as large"
+    reason = f"the worst of {len(ratio)} drawn machines {worst}"
+    if np.all(ratio <= WORSE):
+        reason = f"it would take {1.0 - np.median(ratio):.1%} off the errors of set-points"
+    return f"{key} is not cancelled: {reason}"
+
+
+def _moved(content: Any, path: Any) -> dict[str, Moved]:
+    try:
+        return {name: Moved(float(own["low"]), float(own["high"]), float(own["rate"])) for name, own in content["moved"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError):
+        mend = "diagnose once more: workbench diagnose"
+        raise InputError("does not say how far and fast the outputs moved", file=path, mend=mend) from None
+
+
+@record
+class _Feedforward:
+    """A law and numbers that are added to what it feeds forward, in their units: of the rates and of the accelerations of the
+    set-points that it follows (nu, nr each), and of every shape. shapes: curves whose largest value is 1, one for each command.
+    """
+
+    base: ScheduledPID
+    followed: np.ndarray = field("nr")
+    commands: np.ndarray = field("nu")
+    units: np.ndarray = field("n")
+    numbers: np.ndarray = field("n")
+    shapes: tuple[Compensation, ...] = ()
+
+    @property
+    def law(self) -> ScheduledPID:
+        """The law with these numbers."""
+        nu, nr = self.base.Kp.shape[1:]
+        own, added = self.followed > 0.0, np.zeros((2, nu, nr))
+        count = nu * int(own.sum())
+        added[:, :, own] = (self.numbers * self.units)[: 2 * count].reshape(2, nu, -1)
+        sizes = zip(self.shapes, (self.numbers * self.units)[2 * count :], strict=True)
+        shapes = tuple(replace(c, curve=replace(c.curve, v=size * c.curve.v)) for c, size in sizes)
+        law = replace(self.base, Ka=self.base.Ka + added[0], Kaa=self.base.Kaa + added[1])
+        return replace(law, compensations=(*law.compensations, *shapes))
+
+    def with_shapes(self, shapes: Sequence[Compensation]) -> "_Feedforward":
+        """With more shapes, of nothing yet."""
+        at = [self.base.actuated.index(own.input) for own in shapes]
+        units, numbers = np.append(self.units, self.commands[at]), np.append(self.numbers, np.zeros(len(at)))
+        return replace(self, shapes=(*self.shapes, *shapes), units=units, numbers=numbers)
+
+
+class _Job:
+    """Set-points over the range of the records, and runs of the extended plant along them."""
+
+    def __init__(self, law: ScheduledPID, plant: Plant, moved: Mapping[str, Moved], box: ParameterBox):
+        self.plant, every = plant, max(1, round(law.dt / plant.dt))
+        controlled = law.measured[: len(law.references)]
+        self.outputs = [plant.output_names.index(check_known("output", name, plant.output_names)) for name in controlled]
+        own = [moved[check_known("output", name, moved)] for name in controlled]
+        self.size = np.array([m.high - m.low for m in own])
+        if not np.all(self.size > 0.0):
+            name = controlled[int(np.argmin(self.size))]
+            mend = "diagnose records in which it moves"
+            raise InputError("it stood still in the records of the diagnosis", file=plant.name, channel=name, mend=mend)
+        rest = np.array(plant.output(*plant.equilibrium()[:1]))[self.outputs]
+        self.references, self.every = _moves(rest, own, law.dt), every
+        held = np.repeat(self.references, every, axis=0)
+        self.scenario = Scenario("job", dict(zip(law.references, held.T, strict=True)))
+        self.found = plant.nominal[None], plant.effect_vector()[None]
+        z = np.random.default_rng(0).uniform(size=(DRAWN, box.n))
+        self.machines = tuple(np.vstack(both) for both in zip(self.found, box.vectors(z), strict=True))
+
+    def run(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> Any:
+        """Trajectories of machines (R) at the law's samples."""
+        with np.errstate(all="ignore"):
+            return simulate_batch(self.plant, law, self.scenario, parameters=p, effects=eta, bumpless=True)
+
+    def errors(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> np.ndarray:
+        """(m - y) / size, (R, N, nr)."""
+        y = self.run(law, p, eta).measured[:, :: self.every, self.outputs]
+        return (law.aimed(self.references, y[0, 0])[0] - y) / self.size
+
+    def drawn(self, law: ScheduledPID) -> np.ndarray:
+        """Root mean square error (R,) of the machine found and of the drawn ones; infinite where one leaves its range."""
+        return np.nan_to_num(np.sqrt(np.mean(self.errors(law, *self.machines) ** 2, axis=(1, 2))), nan=np.inf)
+
+    def units(self, law: ScheduledPID, followed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the numbers of a feedforward are counted in, and commands (nu,): a unit moves them by as much as the job does."""
+        found = self.run(law, *self.found)
+        commands = np.nanstd(found.commands[0][:, [self.plant.input_names.index(name) for name in law.actuated]], axis=0)
+        commands = np.where(commands > 0.0, commands, 1.0)
+        rate = law.aimed(self.references, found.measured[0, 0, self.outputs])[1]
+        fastest = np.abs(rate).max(axis=0), np.abs(np.diff(rate, axis=0)).max(axis=0) / law.dt
+        each = [np.divide.outer(commands, np.where(own > 0.0, own, 1.0)[followed]).ravel() for own in fastest]
+        return np.concatenate(each), commands
+
+    def tuned(self, given: _Feedforward) -> _Feedforward:
+        """The feedforward that leaves least of m - y on the machine found."""
+        best, e = given, self.errors(given.law, *self.found).ravel()
+        for _ in range(STEPS):
+            if not np.isfinite(e).all():
+                return given
+            moved = [replace(best, numbers=best.numbers + STEP * one) for one in np.eye(len(best.numbers))]
+            J = np.array([(self.errors(own.law, *self.found).ravel() - e) / STEP for own in moved]).T
+            if not np.isfinite(J).all():
+                return given
+            size = np.linalg.norm(J, axis=0).max()
+            padded = np.vstack([J, RIDGE * size * np.eye(J.shape[1])])
+            way = np.linalg.lstsq(padded, -np.append(e, np.zeros(J.shape[1])), rcond=None)[0]
+            for share in SHARES:
+                tried = replace(best, numbers=best.numbers + share * way)
+                after = self.errors(tried.law, *self.found).ravel()
+                if after @ after < e @ e:  # not where it is NaN
+                    break
+            else:
+                break
+            best, done, e = tried, after @ after / (e @ e), after
+            if done > ENOUGH:
+                break
+        return best
+
+    def against(self, key: str, given: _Feedforward) -> _Feedforward | str:
+        """The feedforward with shapes of an effect, of nothing yet; or why there are none, in words."""
+        (own, *_), place = [slot for slot in self.plant.slots if slot.key == key], key.partition("@")[2]
+        eta = self.found[1][0]
+        numbers = Named({s.parameter.name: eta[i] for i, s in enumerate(self.plant.slots) if s.key == key})
+        state = self.plant.turning.get(place)
+        if own.effect.family != Shaft.family or state is None or not np.isfinite(_opposing(own.effect, numbers, 0.5)):
+            return "only what depends on a speed alone is"
+        i = self.plant.state_names.index(state)
+        if (said := self._told_by_set_points(given.law, i)) is None:
+            return f"the set-points do not say how fast {place} moves"
+        if (costs := self._costs(key, given.law)) < 1.0 - WORTH:
+            return f"without it errors of set-points would be {max(costs, 0.0):.1%} less"
+        position, motion, rest, highest = said
+        v = _nodes(numbers, highest)
+        force = np.array([_opposing(own.effect, numbers, at) for at in v])
+        if not np.abs(force).max() > 0.0:
+            return "it does nothing at these speeds"
+        over, force = f"speed of {place} [{self.plant.states[i].unit}]", force / np.abs(force).max()
+        curves = (Curve(name, v - rest, force) for name in given.base.actuated)
+        return given.with_shapes([Compensation(c.input, key, position, motion, c, over) for c in curves])
+
+    def _costs(self, key: str, law: ScheduledPID) -> float:
+        """The share of the errors of the machine found that it would not have without the effect."""
+        p, eta = self.found
+        own = np.array([slot.key == key for slot in self.plant.slots])
+        rms = [np.sqrt(np.mean(self.errors(law, p, with_it) ** 2)) for with_it in (eta, np.where(own, self.plant.neutral, eta))]
+        return 1.0 - float(rms[1] / rms[0])
+
+    def _told_by_set_points(self, law: ScheduledPID, state: int) -> tuple[np.ndarray, np.ndarray, float, float] | None:
+        """Weights of m and of m' (nr,), and what is added, that give a state where no effect acts; and the largest of it. None
+        where they do not give it.
+        """
+        run = self.run(law.uncompensated, self.found[0], self.plant.neutral[None])
+        if not np.isfinite(run.measured).all():
+            return None
+        m, rate = law.aimed(self.references, run.measured[0, 0, self.outputs])
+        v, nr = run.states[0, :: self.every, state], m.shape[1]
+        every = np.column_stack([m, rate, np.ones(len(m))])
+        size = np.append(np.std(every[:, :-1], axis=0), max(1e-300, np.abs(v).max()))
+        used = size > 0.0
+        for _ in range(2):  # once more without what is slight
+            found = np.zeros(len(size))
+            found[used] = np.linalg.lstsq(every[:, used] / size[used], v, rcond=None)[0] / size[used]
+            parts = np.abs(found) * size
+            used &= parts > SLIGHT * parts.max()
+        if np.mean((v - every @ found) ** 2) > (1.0 - EXPLAINED) * np.var(v):
+            return None
+        return found[:nr], found[nr:-1], float(found[-1]), float(np.abs(v).max())
+
+
+def _opposing(effect: Effect, numbers: Named, speed: float) -> float:
+    """What opposes a law of a shaft at a speed, long after its start; NaN where it depends on more than that."""
+    return -float(effect.law(numbers, Named({"speed": speed, "angle": np.nan, "load": np.nan, "t": FOREVER})))
+
+
+def _nodes(numbers: Named, highest: float) -> np.ndarray:
+    """Speeds between which a curve is straight: close together where a law changes its sign, even up to the highest."""
+    width = getattr(numbers, "width", highest) if "width" in vars(numbers) else highest
+    up = np.unique([*(own * width for own in NODES if own * width < highest), *np.linspace(0.0, highest, EVEN)])
+    up = up[np.append(True, np.diff(up) > 1e-3 * min(width, highest))]
+    return np.concatenate([-up[:0:-1], up])
+
+
+def _moves(rest: np.ndarray, moved: Sequence[Moved], dt: float) -> np.ndarray:
+    """Set-points (N, nr): one after the other goes up and down in its range, at speeds up to the fastest of the records, and
+    stands between; from rest (nr,).
+    """
+    random, at, found = np.random.default_rng(0), rest.copy(), [rest[None]]
+    for j, own in enumerate(moved):
+        middle, half = 0.5 * (own.low + own.high), 0.5 * INNER * (own.high - own.low)
+        for k in range(MOVES):
+            target = at.copy()
+            target[j] = middle + (-1) ** k * half * random.uniform(0.4, 1.0)
+            rate = own.rate * random.uniform(SLOWEST, 1.0)
+            n = int(np.clip(1.875 * abs(target[j] - at[j]) / (rate * dt), SHORTEST, LONGEST))  # of which 1.875 is the peak
+            share = np.linspace(0.0, 1.0, n)[:, None]
+            found += [at + (share**3 * (10.0 + share * (6.0 * share - 15.0))) * (target - at)]
+            found += [np.repeat(target[None], int(STANDS * n) + 1, axis=0)]
+            at = target
+    return np.concatenate(found)

@@ -1,0 +1,150 @@
+"""What a diagnosis named, cancelled by feedforward: tried on a simulation written out here, on axes drawn at random."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controllers import ScheduledPIDDesign, compensated, load_controller, save_controller
+from controllers.scheduled_pid import Compensation
+from plants import POSITIONING_AXIS
+from tests.controllers.test_designs import swinging
+from workbench.curves import Curve
+from workbench.errors import InputError
+from workbench.physics.linearised import linearised
+
+DT = 0.004
+AXIS = POSITIONING_AXIS.sampled(DT)
+MOVED = {"q": {"low": -0.12, "high": 0.1, "rate": 0.3}}
+
+
+def within(value, share):
+    return {"value": value, "low": value * (1.0 - share), "high": value * (1.0 + share), "unit": ""}
+
+
+def named(effect, place="slide", **numbers):
+    """What a diagnosis.json holds of one cause, sizes known to 10 %, and of the axis."""
+    cause = {"effect": effect, "at": place, "parameters": {key: within(value, 0.1) for key, value in numbers.items()}}
+    return {"causes": [cause], "recalibrated": {"M": within(95.0, 0.01), "Fv": within(200.0, 0.03)}, "moved": MOVED}
+
+
+def path(seed, N=4000):
+    """Moves and stands (N, 1) of random length; smooth."""
+    random, r, k, at = np.random.default_rng([8, seed]), np.zeros(N), 0, 0.0
+    while k < N:
+        n, to = int(random.uniform(200, 500)), random.uniform(-0.12, 0.1)
+        share = np.linspace(0.0, 1.0, n)
+        whole = np.append(at + (to - at) * (share - np.sin(2.0 * np.pi * share) / (2.0 * np.pi)), np.full(60, to))
+        r[k : k + len(whole)] = whole[: N - k]
+        k, at = k + len(whole), to
+    return r[:, None]
+
+
+def error(law, r, M, Fv, friction, steps=20):
+    """Root mean square of m - q in m on M q'' = F - Fv q' - friction(q'), by the midpoint rule."""
+    q = v = 0.0
+    state, said = law.init(np.zeros(1)), []
+    h = DT / steps
+    for now in r:
+        said.append(q)
+        (F,), state = law.step(state, now, np.array([q]))
+        for _ in range(steps):
+            middle = v + 0.5 * h * (F - Fv * v - friction(v)) / M
+            q, v = q + h * middle, v + h * (F - Fv * middle - friction(middle)) / M
+    return float(np.sqrt(np.mean((law.aimed(r, np.zeros(1))[0][:, 0] - said) ** 2)))
+
+
+def friction_of(seed):
+    """An effect of the axis drawn at random, and how it acts, written out."""
+    random = np.random.default_rng([9, seed])
+    level, width, other, speed = random.uniform(12.0, 40.0), random.uniform(5e-4, 3e-3), random.uniform(10.0, 40.0), 0.08
+    kind = ("coulomb", "asymmetric-friction", "stribeck")[seed % 3]
+    if kind == "coulomb":
+        return kind, {"level": level, "width": width}, lambda v: level * np.tanh(v / width)
+    if kind == "asymmetric-friction":
+        both = {"forward": level, "backward": other, "width": width}
+        return kind, both, lambda v: (level if v > 0 else other) * np.tanh(v / width)
+    fading = {"level": level, "speed": speed, "width": width}
+    return kind, fading, lambda v: level * np.exp(-((v / speed) ** 2)) * np.tanh(v / width)
+
+
+def designed(**options):
+    """A PID on the axis with half as much viscous friction again, as a model that was identified under dry friction has it."""
+    return ScheduledPIDDesign(**options).on(linearised(AXIS.with_parameters({"Fv": 300.0})))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{"paths": ("q",)}, {"reference_model": {"q": 25.0}}])
+def test_friction_is_cancelled_on_machines_that_are_not_quite_those_found(options):
+    law, factors = designed(**options), []
+    for seed in range(12):
+        random = np.random.default_rng([10, seed])
+        kind, numbers, friction = friction_of(seed)
+        found = {key: value * (1.0 + 0.1 * random.uniform(-1.0, 1.0)) for key, value in numbers.items()}
+        better, said = compensated(law, replace(AXIS, effects={f"{kind}@slide": found}), named(kind, **found))
+        assert said[0].done, said[0].sentence
+        assert len(better.compensations) == 1
+        np.testing.assert_allclose(better.compensations[0].motion, 1.0, atol=0.02)
+        M, Fv = 95.0 * (1.0 + 0.01 * random.uniform(-1.0, 1.0)), 200.0 * (1.0 + 0.03 * random.uniform(-1.0, 1.0))
+        factors.append(error(law, r := path(seed), M, Fv, friction) / error(better, r, M, Fv, friction))
+        for key in ("Kp", "Ki", "Kd", "Kr", "u0", "b", "c"):
+            np.testing.assert_array_equal(getattr(better, key), getattr(law, key))
+    assert np.median(factors) > 8.0
+    assert np.quantile(factors, 0.1) > 4.0
+
+
+@pytest.mark.slow
+def test_nothing_is_cancelled_that_does_not_pay():
+    law = designed(paths=("q",))
+    near_nothing = named("coulomb", level=20.0, width=1e-3)
+    near_nothing["causes"][0]["parameters"]["level"] |= {"low": 0.0, "high": 21.0}
+    rubbed = replace(AXIS, effects={"coulomb@slide": {"level": 20.0, "width": 1e-3}})
+    better, (said,) = compensated(law, rubbed, near_nothing)
+    assert not said.done
+    assert "times as large" in said.sentence
+    assert not better.compensations
+    slight = replace(AXIS, effects={"coulomb@slide": {"level": 0.02, "width": 1e-3}})
+    better, (said,) = compensated(law, slight, named("coulomb", level=0.02, width=1e-3))
+    assert not said.done
+    assert "without it errors of set-points would be" in said.sentence
+    assert not better.compensations
+    wheel = {"cosine": 5.0, "sine": 1.0}
+    content = named("imbalance", amplitude=5.1)
+    _, (said,) = compensated(law, replace(AXIS, effects={"imbalance@slide": wheel}), content)
+    assert said.sentence == "imbalance@slide is not cancelled: only what depends on a speed alone is"
+
+
+def test_what_cannot_be_cancelled_is_told():
+    rubbed = replace(AXIS, effects={"coulomb@slide": {"level": 20.0, "width": 1e-3}})
+    content = named("coulomb", level=20.0, width=1e-3)
+    law, (said,) = compensated(plain := designed(reference_model={"q": np.inf}), rubbed, content)
+    assert law is plain
+    assert "set-points that may step have no speed: give them a reference model or a path" in said.sentence
+    path = designed(paths=("q",))
+    with pytest.raises(InputError, match="does not say how far and fast the outputs moved"):
+        compensated(path, rubbed, {key: own for key, own in content.items() if key != "moved"})
+    with pytest.raises(InputError, match="holds no intervals"):
+        compensated(path, rubbed, {"plant": "positioning-axis"})
+    with pytest.raises(InputError, match="it stood still in the records"):
+        compensated(path, rubbed, content | {"moved": {"q": {"low": 0.1, "high": 0.1, "rate": 0.0}}})
+
+
+@pytest.fixture(scope="module")
+def fed():
+    """A law of the oscillator that cancels something, by hand."""
+    law = ScheduledPIDDesign(paths=("y",)).on(swinging(0.4))
+    curve = Curve("u", [-1.0, -0.1, 0.1, 1.0], [-0.5, -0.4, 0.4, 0.5])
+    return replace(law, compensations=(Compensation("u", "coulomb@pivot", [0.0], [1.0], curve, "speed [m/s]"),))
+
+
+def test_its_file_holds_it(fed, tmp_path):
+    again = load_controller(save_controller(fed, tmp_path / "pid.json"))
+    assert again.compensations[0].effect == "coulomb@pivot"
+    random = np.random.default_rng(1)
+    a, b = fed.init(), again.init()
+    for _ in range(50):
+        r, y = random.normal(size=(2, 1))
+        (u, a), (v, b) = fed.step(a, r, y), again.step(b, r, y)
+        np.testing.assert_array_equal(u, v)
+    assert fed.uncompensated.compensations == ()
+    assert fed.unshaped.compensations == ()

@@ -1,0 +1,101 @@
+"""A linear model of a plant about its start: what a law is designed on where records give no model.
+
+    dx' = A dx + B du(t - L),    dy = C dx,    T dz' = dy - dz      A, B, C: Jacobians of the plant's equation at its equilibrium
+
+sampled exactly under held inputs. L: input delays; T: lags of sensors; both as effects of the plant have them. Friction of what
+stands still has a slope there that tells nothing of its motion: effects on a shaft at rest are left out.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag, expm
+
+from workbench.basis import CONSTANT
+from workbench.errors import InputError
+from workbench.lpv import LPVModel, OperatingPoint, constant_model
+from workbench.physics.effects.shaft import Shaft
+from workbench.physics.plant import Plant
+
+STILL = 1e-9  # of the largest state: a speed at rest
+RESONANT = "sensor-resonance"  # an effect with dynamics that this model does not have
+
+
+def linearised(plant: Plant, dt: float | None = None) -> LPVModel:
+    """The plant about its start as an LPV model without schedule, sampled every dt seconds (default: the plant's own).
+
+    The model's noise is that of the plant's channels. Raises InputError for plants that are known at their samples alone, or
+    whose inputs move on their own: there a model is identified.
+
+        >>> linearised(MOTOR.sampled(0.02)).dt
+        0.02
+    """
+    _check(plant)
+    dt = plant.dt if dt is None else dt
+    x, u = plant.equilibrium()
+    still = STILL * max(1.0, np.abs(x).max())
+    resting = {place for place, name in plant.turning.items() if abs(x[plant.state_names.index(name)]) <= still}
+    rubbing = {slot.key for slot in plant.slots if slot.effect.family == Shaft.family and slot.place in resting}
+    moving = replace(plant, effects={key: own for key, own in plant.effects.items() if key not in rubbing})
+    A, B, C, _ = moving.linearize(x, u)
+    time = lambda effect, names: [plant.effects.get(f"{effect}@{name}", {}).get("time", 0.0) for name in names]  # noqa: E731
+    delays, lags = time("input-delay", plant.input_names), time("sensor-lag", plant.output_names)
+    matrices = _sampled(*_lagged(A, B, C, lags), dt, delays)
+    noise = np.diag([plant.noise.get(name, 0.0) ** 2 for name in plant.output_names])
+    channels = tuple(replace(c, role="input") for c in plant.inputs), tuple(replace(c, role="output") for c in plant.outputs)
+    at = OperatingPoint(CONSTANT, u[None], np.array(moving.output(x), dtype=float)[None])
+    return constant_model(plant.name, dt, channels, matrices, at, noise=noise)
+
+
+def _check(plant: Plant) -> None:
+    """Refuse plants that have no such model."""
+    if plant.discrete:
+        raise InputError("it is a model already", file=plant.name, mend="give its file as --model")
+    if len(plant.commanded) < len(plant.inputs):
+        name = next(c.name for c in plant.inputs if c.role == "schedule")
+        mend = "identify a model over it: workbench identify --schedule"
+        raise InputError("it moves on its own: one linear model does not do", file=plant.name, channel=name, mend=mend)
+    if key := next((key for key in plant.effects if key.startswith(f"{RESONANT}@")), ""):
+        mend = "identify a model from records: workbench identify"
+        raise InputError(f"{key} is not in the linear model of a plant", file=plant.name, mend=mend)
+
+
+def _lagged(A: np.ndarray, B: np.ndarray, C: np.ndarray, lags: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The system whose outputs are read through first-order lags [s], 0 for none."""
+    slow, n = [j for j, T in enumerate(lags) if T > 0.0], len(A)
+    A = np.array(block_diag(A, *([[-1.0 / lags[j]]] for j in slow)))
+    B, read = np.vstack([B, np.zeros((len(slow), B.shape[1]))]), np.hstack([C, np.zeros((len(C), len(slow)))])
+    for k, j in enumerate(slow, n):
+        A[k, :n], read[j] = C[j] / lags[j], np.eye(len(A))[k]
+    return A, B, read
+
+
+def _sampled(A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float, delays: list[float]) -> tuple[np.ndarray, ...]:
+    """The system under inputs that are held for dt and act L later: whole samples are states, a rest mixes two of them."""
+    n = len(A)
+
+    def held(time: float) -> tuple[np.ndarray, np.ndarray]:
+        both = expm(np.block([[A, B], [np.zeros((B.shape[1], n + B.shape[1]))]]) * time)
+        return both[:n, :n], both[:n, n:]
+
+    F, G = held(dt)
+    if not any(delays):
+        return F, G, C, np.zeros((len(C), B.shape[1]))
+    whole = [int(np.floor(L / dt * (1.0 + 1e-12))) for L in delays]
+    memory = [w + 1 for w in whole]  # commands of before that still act
+    starts = n + np.concatenate([[0], np.cumsum(memory)[:-1]])
+    size = n + sum(memory)
+    big, act = np.zeros((size, size)), np.zeros((size, B.shape[1]))
+    big[:n, :n] = F
+    for i, (L, w, m, s) in enumerate(zip(delays, whole, memory, starts, strict=True)):
+        rest = L - w * dt
+        late, fresh = held(dt)[1][:, i] - held(dt - rest)[1][:, i], held(dt - rest)[1][:, i]  # the older command acts first
+        big[:n, s + w] += late
+        if w:
+            big[:n, s + w - 1] += fresh
+        else:
+            act[:n, i] += fresh
+        act[s, i] = 1.0
+        for k in range(1, m):
+            big[s + k, s + k - 1] = 1.0
+    return big, act, np.hstack([C, np.zeros((len(C), size - n))]), np.zeros((len(C), B.shape[1]))
