@@ -124,6 +124,11 @@ def _said(key: str, before: np.ndarray, after: np.ndarray, done: bool) -> str:
     return f"{key} is not cancelled: {reason}"
 
 
+def moved_by(content: Any, path: Any = "diagnosis") -> dict[str, float]:
+    """Steps of set-points by output: half of the range of the records of a diagnosis. Raises InputError as `compensated`."""
+    return {name: 0.5 * INNER * (own.high - own.low) for name, own in _moved(content, path).items() if own.high > own.low}
+
+
 def _moved(content: Any, path: Any) -> dict[str, Moved]:
     try:
         return {name: Moved(float(own["low"]), float(own["high"]), float(own["rate"])) for name, own in content["moved"].items()}

@@ -54,10 +54,10 @@ class ScheduledPIDDesign:
     of what a set-point goes through by output, infinite for nothing; where none is given `on` chooses, see `calmed`. slew [1/s]:
     largest rate of a set-point by output, infinite for none; where none is given, what the limits keep up on a model that
     integrates. paths: outputs whose set-points come as a smooth path, of which rate and acceleration are fed forward, in place of
-    reference models. Margins are the same with all of these. objective: "variance", or "integral" for the most integral action.
-    moving: whether the gains move with the schedule, or only what is commanded at rest and the feedforward. load: size of load
-    steps by input, each one on average every load_every s; size: deviations that count as equally large by output; see
-    `design_pid` for what is left out. robust_to: models that must be kept too.
+    reference models. steps: by output, that the law is tried with. Margins are the same with all of these. objective: "variance",
+    or "integral" for the most integral action. moving: whether the gains move with the schedule, or only what is commanded at
+    rest and the feedforward. load: size of load steps by input, each one on average every load_every s; size: deviations that
+    count as equally large by output; see `design_pid` for what is left out. robust_to: models that must be kept too.
 
         >>> ScheduledPIDDesign(sensitivity=1.4, knots=3).on(model).gains_at(0.0).Kp.round(2)
         array([[0.41]])
@@ -78,6 +78,7 @@ class ScheduledPIDDesign:
     reference_model: Numbers = field(default_factory=dict)
     slew: Numbers = field(default_factory=dict)
     paths: tuple[str, ...] = ()
+    steps: Numbers = field(default_factory=dict)
     objective: str = "variance"
     load: Numbers = field(default_factory=dict)
     load_every: float | None = None
@@ -106,7 +107,8 @@ class ScheduledPIDDesign:
             if self.reference_model.get(name, np.inf) < np.inf:
                 mend = "leave one of both out"
                 raise InputError("a path goes through no reference model", channel=name, mend=mend)
-        for key, unit in (("reference_model", "a bandwidth in rad/s"), ("slew", "a largest rate per second")):
+        limits = ("reference_model", "a bandwidth in rad/s"), ("slew", "a largest rate per second")
+        for key, unit in (*limits, ("steps", "the size of a step")):
             for name, value in getattr(self, key).items():
                 if not value > 0.0:
                     raise InputError(f"{key} {value:g}", channel=name, mend=f"{unit} above 0, inf for none")
@@ -126,6 +128,7 @@ class ScheduledPIDDesign:
         check_limits(model.name, [c.name for c in model.inputs], commands["low"], commands["high"])
         limits = dict(zip(commands, let_through(curves, [c.name for c in model.inputs], **commands), strict=True))
         self._shaping(model)  # refuses outputs that the model does not have before any work
+        by_channel("output", self.steps, model.outputs, model.name, np.nan)
         structure = Structure(
             derivative=self.derivative, Tf=self.filter, b=self.setpoint_weight, feedforward=self.feedforward,
             moving=self.moving, **limits
@@ -168,7 +171,7 @@ class ScheduledPIDDesign:
 
         def run(bandwidth: np.ndarray) -> tuple[PIDDesign, Trial]:
             own = replace(found, law=found.following(bandwidth, slew, self._paths(core)))
-            return own, tried(own.law, model, plant, usual)
+            return own, tried(own.law, model, plant, usual, self.steps)
 
         bandwidth = np.where(free, self._settling_soonest(found, core, given) if free.any() else given, given)
         runs = [run(bandwidth)]

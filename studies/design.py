@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.compensation import Compensated, compensated
+from controllers.compensation import Compensated, compensated, moved_by
 from controllers.designs import ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
@@ -77,7 +77,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
     became: tuple[Compensated, ...] = ()
     if options.diagnosis and chosen and not trial.lost:
         law, became = compensated(found.law, chosen.plant, read_json(options.diagnosis), options.diagnosis, progress)
-        found, trial = replace(found, law=law), tried(law, whole, chosen.plant)
+        found, trial = replace(found, law=law), tried(law, whole, chosen.plant, steps=wanted.steps)
     code = _told(options, trial, model, say)
     bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]
     folder = run_folder(options.out, "design")
@@ -271,10 +271,17 @@ def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesig
         filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
         moving=not options.fixed_gains,
         reference_model=_given(options.reference_model), slew=_given(options.slew),
-        paths=tuple(name for text in options.path for name in names(text)),
+        paths=tuple(name for text in options.path for name in names(text)), steps=_steps(options, model),
         objective=options.objective, load=_given(options.load), load_every=options.load_every, size=_given(options.size),
         robust_to=tuple(load_model(path) for path in options.robust_to),
     )  # fmt: skip
+
+
+def _steps(options: Namespace, model: LPVModel) -> dict[str, float]:
+    """Steps by output that the law is tried with: as given, else over half of what the records of the diagnosis went through."""
+    known = [c.name for c in model.outputs]
+    told = moved_by(read_json(options.diagnosis), options.diagnosis) if options.diagnosis else {}
+    return {name: step for name, step in told.items() if name in known} | _given(options.step)
 
 
 def _given(texts: list[str]) -> dict[str, float]:

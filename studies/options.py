@@ -177,6 +177,10 @@ def _design(sub: argparse.ArgumentParser) -> None:
         "by a fifth at most)",
     )
     sub.add_argument(
+        "--step", action="append", default=[], metavar="Y=V,..", help="steps of set-points that the law is tried with (default: "
+        "what unit inputs move, or limits allow; with --diagnosis half of the range of its records)",
+    )  # fmt: skip
+    sub.add_argument(
         "--path", action="append", default=[], metavar="Y,..", help="outputs whose set-points come as a smooth path: rate and "
         "acceleration are fed forward, there is no reference model",
     )  # fmt: skip

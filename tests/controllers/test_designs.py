@@ -155,6 +155,15 @@ def test_outputs_follow_reference_models_and_paths(zeta):
     assert np.abs(followed(bare, zeta, path) - path).max() > 0.03
 
 
+def test_a_law_is_tried_with_the_steps_that_are_given():
+    found = ScheduledPIDDesign(steps={"y": 0.25})
+    assert "steps of y 0.25 m from" in found.calmed(found.design(swinging(0.4)), swinging(0.4))[1].sentence
+    with pytest.raises(InputError, match="steps 0"):
+        ScheduledPIDDesign(steps={"y": 0.0})
+    with pytest.raises(InputError, match="unknown output 'z'"):
+        ScheduledPIDDesign(steps={"z": 1.0}).design(swinging(0.4))
+
+
 def test_paths_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="unknown output 'z'"):
         ScheduledPIDDesign(paths=("z",)).design(swinging(0.4))
@@ -268,7 +277,7 @@ def test_a_controller_is_tried_on_the_plant_that_is_given_and_at_the_usual_set_p
     plant = object()
     for design in (ScheduledPIDDesign(setpoint={"y": 0.5}), MPCDesign(setpoint={"y": 0.5})):
         law = design.on(model, plant)
-        assert all(own[1:] == (model, plant, [0.5]) for own in asked)
+        assert all(own[1:4] == (model, plant, [0.5]) for own in asked)
         assert any(own[0] is law for own in asked)
 
 

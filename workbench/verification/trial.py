@@ -5,7 +5,8 @@ schedule follows the output that it is, or goes once along its span. The run is 
 or where it stays away from a set-point by more than half of the step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -56,8 +57,12 @@ class Trial:
         return float(self.beyond.max(initial=0.0))
 
 
-def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) -> Trial:
-    """The law on the model it was designed for, from rest at the usual set-point; behind its curves where it has some."""
+def on_model(
+    law: Any, model: Model, setpoint: Sequence[float] | None = None, steps: Mapping[str, float] = MappingProxyType({})
+) -> Trial:
+    """The law on the model it was designed for, from rest at the usual set-point; behind its curves where it has some. steps: by
+    output, where not as far as unit inputs move it, or the limits of commands.
+    """
     (straight, model), curves = behind(law, model), curves_of(model)
     if np.any(model.D):
         why = "its outputs see the command of their own sample, which held commands cannot do"
@@ -67,7 +72,7 @@ def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) ->
     first = low + EDGE * (high - low) if follows is not None else low
     phi = model.operating_point.basis(np.array(first))
     rest = np.array(phi @ model.operating_point.y if setpoint is None else setpoint, dtype=float)
-    step = _steps(straight, model, rest)
+    step = _steps(straight, model, rest, steps)
     if follows is not None:
         rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
     names = [c.name for c in model.outputs]
@@ -92,14 +97,16 @@ def on_model(law: Any, model: Model, setpoint: Sequence[float] | None = None) ->
     return _judged(where, law, references[:, own], y[:, own], units, model.dt, settling)
 
 
-def on_plant(law: Any, plant: Plant, model: Model) -> Trial:
-    """The law on a plant, from the plant's own rest; a schedule that is an output is stepped over the law's span."""
+def on_plant(law: Any, plant: Plant, model: Model, steps: Mapping[str, float] = MappingProxyType({})) -> Trial:
+    """The law on a plant, from the plant's own rest; a schedule that is an output is stepped over the law's span. steps: as for
+    the model.
+    """
     straight, model = behind(law, model)
     names = [c.name for c in model.outputs]
     own = [names.index(name) for name in law.measured[: len(law.references)]]
     begun = simulate(plant, law, _scenario(law, np.zeros((2, len(own)))), bumpless=True, cut=True).experiment
     rest = np.array([begun[name][0] for name in law.measured[: len(law.references)]])
-    step = _steps(straight, model, model.operating_point.basis(model.middle) @ model.operating_point.y)[own]
+    step = _steps(straight, model, model.operating_point.basis(model.middle) @ model.operating_point.y, steps)[own]
     scheduled = dict(zip(schedules_of(law), np.reshape(getattr(law, "span", model.spans), (-1, 2)), strict=False))
     known = [name for name in scheduled if name in law.measured[: len(law.references)]]
     for name in known:
@@ -115,9 +122,12 @@ def on_plant(law: Any, plant: Plant, model: Model) -> Trial:
     return trial
 
 
-def tried(law: Any, model: Model, plant: Plant | None, setpoint: Sequence[float] | None = None) -> Trial:
+def tried(
+    law: Any, model: Model, plant: Plant | None, setpoint: Sequence[float] | None = None,
+    steps: Mapping[str, float] = MappingProxyType({}),
+) -> Trial:  # fmt: skip
     """On the plant where there is one, else on the model."""
-    return on_model(law, model, setpoint) if plant is None else on_plant(law, plant, model)
+    return on_model(law, model, setpoint, steps) if plant is None else on_plant(law, plant, model, steps)
 
 
 def along(law: Any, plant: Plant, references: np.ndarray, settling: int, start: dict[str, float] | None = None) -> Trial:
@@ -175,9 +185,9 @@ def _path(rest: np.ndarray, step: np.ndarray, hold: int, smooth: Sequence[bool])
     return np.concatenate(found)
 
 
-def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
-    """For each output a step that the limits of commands leave room for in the middle, unless the model integrates no larger than
-    what unit inputs move; without limits that.
+def _steps(law: Any, model: LPVModel, rest: np.ndarray, given: Mapping[str, float]) -> np.ndarray:
+    """For each output the step that is given, else one that the limits of commands leave room for in the middle, unless the model
+    integrates no larger than what unit inputs move; without limits that.
     """
     middle = model.middle if model.schedules else None
     A, B, C, D = model.freeze(middle)
@@ -190,7 +200,8 @@ def _steps(law: Any, model: LPVModel, rest: np.ndarray) -> np.ndarray:
     room = np.minimum(u[acts] - getattr(law, "low", -none), getattr(law, "high", none) - u[acts])
     reach = np.min(np.maximum(room, 0.0)[:, None] / np.maximum(np.abs(need[acts]), 1e-300), axis=0)
     free = np.linalg.norm(moved, axis=1)
-    return np.where(np.isfinite(reach) & (reach > 0.0), SHARE * reach if model.free else np.minimum(SHARE * reach, free), free)
+    usual = np.where(np.isfinite(reach) & (reach > 0.0), SHARE * reach if model.free else np.minimum(SHARE * reach, free), free)
+    return np.array([given.get(c.name, own) for c, own in zip(model.outputs, usual, strict=True)])
 
 
 def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

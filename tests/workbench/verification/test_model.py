@@ -124,7 +124,7 @@ def test_what_a_law_adds_over_its_set_points_is_in_no_loop_and_in_every_run():
     assert fed[-1].claim == "y: low and high"
     assert [v.status for v in fed] == [*(v.status for v in plain[:-2]), Status.UNDECIDED]
     assert "curves over its set-points" in fed[-1].sentence
-    with pytest.raises(InputError, match="unknown"):
+    with pytest.raises(InputError, match="not a signal of this loop"):
         on_model(known, replace(LAW, compensations=(added,)), replace(limits, limits=(Limit("z", low=0.0),)))
 
 
