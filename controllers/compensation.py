@@ -35,6 +35,7 @@ from workbench.simulation import Scenario, simulate_batch
 DRAWN = 20  # machines that a compensation is tried on
 WORSE, WORTH = 1.02, 0.95  # times the error without it: of no drawn machine more, in the middle less
 MOVES, SLOWEST, STANDS = 8, 0.25, 0.3  # of the set-points; their slowest, of the fastest; how long they stand between, of a move
+SATURATION = "saturation"  # an effect that limits of commands keep away from
 INNER = 0.9  # of the range of the records, that set-points stay within
 EXPLAINED = 0.98  # of a speed's variance, by the set-points, for it to be known from them
 SLIGHT = 0.01  # of what moves a speed: what is less is left out
@@ -76,52 +77,93 @@ def compensated(
     """The law with what cancels causes that a diagnosis has named, where that pays, and what became of each.
 
     plant: extended by the diagnosis. content: what is in its diagnosis.json; path: the file, for messages. Causes are taken in
-    the order of what they are worth. Raises InputError for content of another plant, or of no diagnosis.
+    the order of what they cost. Raises InputError for content of another plant, or of no diagnosis.
 
         >>> better, said = compensated(law, found.plant, found.to_dict())
         >>> said[0].effect, said[0].done
         ('coulomb@shaft', True)
     """
     box, moved = ParameterBox(plant, fitted_box_of(plant, content, path)), _moved(content, path)
+    if content.get("plant", plant.name) != plant.name:
+        raise InputError(f"a diagnosis of {content['plant']}", file=path, mend=f"give that of {plant.name}, or another plant")
+    law, told = _within_saturation(law, plant)
+    keys = [key for key in plant.effects if key not in [own.effect for own in told]]
     if not (followed := np.isfinite(law.bandwidth) | law.paths).any():
         why = "set-points that may step have no speed: give them a reference model or a path"
-        return law, tuple(Compensated(key, False, f"{key} is not cancelled: {why}") for key in plant.effects)
-    job, told = _Job(law, plant, moved, box), []
+        return law, (*told, *(Compensated(key, False, f"{key} is not cancelled: {why}") for key in keys))
+    job = _Job(law, plant, moved, box)
     progress("feedforward on the extended plant")
     units, commands = job.units(law, followed)
-    best = job.tuned(_Feedforward(law, followed, commands, units, np.zeros(len(units))))
-    before, errors = job.drawn(law), job.drawn(best.law)
-    if not _pays(before, errors):
-        best, errors = replace(best, numbers=np.zeros(len(best.units))), before
-    for key in plant.effects:
+    best = _Feedforward(law, followed, commands, units, np.zeros(len(units)))
+    before, tuned = job.drawn(law), job.tuned(best)
+    after = job.drawn(tuned.law)
+    best, errors = (tuned, after) if _pays(before, after) else (best, before)
+    if best is tuned:
+        said = f"what is fed forward of rates is fitted to {plant.name}: errors of set-points are less {_less(before, after)}"
+        told.append(Compensated("feedforward", True, said, before, after))
+    costs = {key: job.costs(key, best.law) for key in keys}
+    for key in sorted(keys, key=lambda own: -costs[own]):
         progress(f"compensation of {key}")
-        added = job.against(key, best)
+        added = _unsure(key, plant, content) or job.against(key, best, costs[key])
         if isinstance(added, str):
             told.append(Compensated(key, False, f"{key} is not cancelled: {added}"))
             continue
         tried = job.tuned(added)
         after = job.drawn(tried.law)
         done = _pays(errors, after)
-        told.append(Compensated(key, done, _said(key, errors, after, done), errors, after))
+        said = f"{key} is cancelled: errors of set-points are less {_less(errors, after)}, on {len(after)} machines drawn within "
+        said = f"{said}its intervals" if done else f"{key} is not cancelled: {_lost(errors, after)}"
+        told.append(Compensated(key, done, said, errors, after))
         best, errors = (tried, after) if done else (best, errors)
     return best.law, tuple(told)
 
 
+def _within_saturation(law: ScheduledPID, plant: Plant) -> tuple[ScheduledPID, list[Compensated]]:
+    """The law whose commands stay where an amplifier still gives what is commanded, so that no integral winds up beyond."""
+    told, low, high = [], law.low.copy(), law.high.copy()
+    for key, numbers in plant.effects.items():
+        effect, _, place = key.partition("@")
+        if effect == SATURATION and place in law.actuated and (limit := numbers.get("limit", 0.0)) > 0.0:
+            i = law.actuated.index(place)
+            low[i], high[i] = max(low[i], -limit), min(high[i], limit)
+            ends = f"{place} stays from {low[i]:.4g} to {high[i]:.4g}"
+            if not low[i] < high[i]:
+                raise InputError(f"{key}: {ends}", file=law.name, channel=place, mend="give other --low, --high")
+            told.append(Compensated(key, True, f"{key}: {ends}, where the integral does not wind up"))
+    return (replace(law, low=low, high=high) if told else law), told
+
+
+def _unsure(key: str, plant: Plant, content: Any) -> str:
+    """Why a cause is not known well enough to be cancelled, in words; empty where it is."""
+    cause = next((own for own in content["causes"] if f"{own['effect']}@{own['at']}" == key), {})
+    if cause.get("doubt"):
+        return "the diagnosis is not sure of it"
+    rivals = [own for name in cause.get("ties", ()) for own in name.split(" + ")]
+    other = [own for own in rivals if own.partition("@")[2] != key.partition("@")[2] or not _speed_alone(plant, own)]
+    return f"the records cannot tell it from {other[0]}" if other else ""
+
+
 def _pays(before: np.ndarray, after: np.ndarray) -> bool:
-    ratio = after / before
+    ratio = _ratio(before, after)
     return bool(np.all(ratio <= WORSE) and np.median(ratio) <= WORTH)
 
 
-def _said(key: str, before: np.ndarray, after: np.ndarray, done: bool) -> str:
-    ratio = after / before
-    if done:
-        said = f"by {1.0 / np.median(ratio):.3g} in the middle and {1.0 / ratio.max():.3g} at least"
-        return f"{key} is cancelled: errors of set-points are less {said}, on {len(ratio)} machines drawn within its intervals"
-    worst = "left its range" if not np.isfinite(ratio.max()) else f"would have errors {ratio.max():.3g} times as large"
-    reason = f"the worst of {len(ratio)} drawn machines {worst}"
+def _ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Errors of every machine by those without; infinite of one that leaves its range."""
+    return np.divide(after, before, out=np.full(len(after), np.inf), where=np.isfinite(after))
+
+
+def _less(before: np.ndarray, after: np.ndarray) -> str:
+    ratio = _ratio(before, after)
+    return f"by {1.0 / np.median(ratio):.3g} in the middle and {1.0 / ratio.max():.3g} at least"
+
+
+def _lost(before: np.ndarray, after: np.ndarray) -> str:
+    ratio = _ratio(before, after)
     if np.all(ratio <= WORSE):
-        reason = f"it would take {1.0 - np.median(ratio):.1%} off the errors of set-points"
-    return f"{key} is not cancelled: {reason}"
+        return f"it would take {1.0 - np.median(ratio):.1%} off the errors of set-points"
+    worst = f"would have errors {ratio.max():.3g} times as large" if np.isfinite(ratio.max()) else "would leave its range"
+    return f"the worst of {len(ratio)} drawn machines {worst}"
 
 
 def moved_by(content: Any, path: Any = "diagnosis") -> dict[str, float]:
@@ -198,7 +240,9 @@ class _Job:
     def errors(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> np.ndarray:
         """(m - y) / size, (R, N, nr)."""
         y = self.run(law, p, eta).measured[:, :: self.every, self.outputs]
-        return (law.aimed(self.references, y[0, 0])[0] - y) / self.size
+        begun, which = np.unique(y[:, 0], axis=0, return_inverse=True)  # where m begins
+        m = np.array([law.aimed(self.references, own)[0] for own in begun])
+        return (m[which.ravel()] - y) / self.size
 
     def drawn(self, law: ScheduledPID) -> np.ndarray:
         """Root mean square error (R,) of the machine found and of the drawn ones; infinite where one leaves its range."""
@@ -239,34 +283,30 @@ class _Job:
                 break
         return best
 
-    def against(self, key: str, given: _Feedforward) -> _Feedforward | str:
-        """The feedforward with shapes of an effect, of nothing yet; or why there are none, in words."""
-        (own, *_), place = [slot for slot in self.plant.slots if slot.key == key], key.partition("@")[2]
-        eta = self.found[1][0]
-        numbers = Named({s.parameter.name: eta[i] for i, s in enumerate(self.plant.slots) if s.key == key})
-        state = self.plant.turning.get(place)
-        if own.effect.family != Shaft.family or state is None or not np.isfinite(_opposing(own.effect, numbers, 0.5)):
+    def costs(self, key: str, law: ScheduledPID) -> float:
+        """The share of the errors of the machine found that it would not have without an effect."""
+        p, eta = self.found
+        own = np.array([slot.key == key for slot in self.plant.slots])
+        with_it, without = (np.mean(self.errors(law, p, each) ** 2) for each in (eta, np.where(own, self.plant.neutral, eta)))
+        return 1.0 - float(np.sqrt(without / with_it))
+
+    def against(self, key: str, given: _Feedforward, costs: float) -> _Feedforward | str:
+        """The feedforward with shapes of an effect, of nothing yet; or why there are none, in words. costs: see `costs`."""
+        effect, place = next(slot.effect for slot in self.plant.slots if slot.key == key), key.partition("@")[2]
+        if not _speed_alone(self.plant, key):
             return "only what depends on a speed alone is"
-        i = self.plant.state_names.index(state)
-        if (said := self._told_by_set_points(given.law, i)) is None:
-            return f"the set-points do not say how fast {place} moves"
-        if (costs := self._costs(key, given.law)) < 1.0 - WORTH:
+        if not costs >= 1.0 - WORTH:
             return f"without it errors of set-points would be {max(costs, 0.0):.1%} less"
-        position, motion, rest, highest = said
+        i = self.plant.state_names.index(self.plant.turning[place])
+        if (told := self._told_by_set_points(given.law, i)) is None:
+            return f"the set-points do not say how fast {place} moves"
+        position, motion, rest, highest = told
+        numbers = _numbers(self.plant, key, self.found[1][0])
         v = _nodes(numbers, highest)
-        force = np.array([_opposing(own.effect, numbers, at) for at in v])
-        if not np.abs(force).max() > 0.0:
-            return "it does nothing at these speeds"
+        force = np.array([_opposing(effect, numbers, at) for at in v])
         over, force = f"speed of {place} [{self.plant.states[i].unit}]", force / np.abs(force).max()
         curves = (Curve(name, v - rest, force) for name in given.base.actuated)
         return given.with_shapes([Compensation(c.input, key, position, motion, c, over) for c in curves])
-
-    def _costs(self, key: str, law: ScheduledPID) -> float:
-        """The share of the errors of the machine found that it would not have without the effect."""
-        p, eta = self.found
-        own = np.array([slot.key == key for slot in self.plant.slots])
-        rms = [np.sqrt(np.mean(self.errors(law, p, with_it) ** 2)) for with_it in (eta, np.where(own, self.plant.neutral, eta))]
-        return 1.0 - float(rms[1] / rms[0])
 
     def _told_by_set_points(self, law: ScheduledPID, state: int) -> tuple[np.ndarray, np.ndarray, float, float] | None:
         """Weights of m and of m' (nr,), and what is added, that give a state where no effect acts; and the largest of it. None
@@ -288,6 +328,19 @@ class _Job:
         if np.mean((v - every @ found) ** 2) > (1.0 - EXPLAINED) * np.var(v):
             return None
         return found[:nr], found[nr:-1], float(found[-1]), float(np.abs(v).max())
+
+
+def _numbers(plant: Plant, key: str, eta: np.ndarray) -> Named:
+    """The numbers of an effect."""
+    return Named({slot.parameter.name: eta[i] for i, slot in enumerate(plant.slots) if slot.key == key})
+
+
+def _speed_alone(plant: Plant, key: str) -> bool:
+    """Whether an effect acts on what turns or slides, by its speed alone."""
+    effect = next((slot.effect for slot in plant.slots if slot.key == key), None)
+    if effect is None or effect.family != Shaft.family:
+        return False
+    return bool(np.isfinite(_opposing(effect, _numbers(plant, key, plant.neutral), 0.5)))
 
 
 def _opposing(effect: Effect, numbers: Named, speed: float) -> float:

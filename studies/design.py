@@ -67,6 +67,11 @@ def _model(options: Namespace) -> Model:
     return load_either(options.model)
 
 
+def _files(model: str) -> Sequence[str]:
+    """What was read of a model or plant."""
+    return choose_plant(model).files if is_plant(model) else (model,)
+
+
 def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
     chosen, model = _tried_on(options), core_of(whole)
@@ -205,7 +210,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     if path:
         say(f"controller -> {path}")
     files = [*([options.fallback] if options.fallback else []), *(chosen.files if chosen else ()), *options.records]
-    read = [options.model, *options.robust_to, *files]
+    read = [*_files(options.model), *options.robust_to, *files]
     result = {"kind": kind, "weights": vars(law.weights), "trial": vars(trial)} | tube
     return _finished(options, folder, path, result, read, say) or code
 

@@ -28,6 +28,11 @@ def named(effect, place="slide", **numbers):
     return {"causes": [cause], "recalibrated": {"M": within(95.0, 0.01), "Fv": within(200.0, 0.03)}, "moved": MOVED}
 
 
+def of(said, key):
+    """What became of one cause."""
+    return next(own for own in said if own.effect == key)
+
+
 def path(seed, N=4000):
     """Moves and stands (N, 1) of random length; smooth."""
     random, r, k, at = np.random.default_rng([8, seed]), np.zeros(N), 0, 0.0
@@ -82,7 +87,7 @@ def test_friction_is_cancelled_on_machines_that_are_not_quite_those_found(option
         kind, numbers, friction = friction_of(seed)
         found = {key: value * (1.0 + 0.1 * random.uniform(-1.0, 1.0)) for key, value in numbers.items()}
         better, said = compensated(law, replace(AXIS, effects={f"{kind}@slide": found}), named(kind, **found))
-        assert said[0].done, said[0].sentence
+        assert of(said, f"{kind}@slide").done, of(said, f"{kind}@slide").sentence
         assert len(better.compensations) == 1
         np.testing.assert_allclose(better.compensations[0].motion, 1.0, atol=0.02)
         M, Fv = 95.0 * (1.0 + 0.01 * random.uniform(-1.0, 1.0)), 200.0 * (1.0 + 0.03 * random.uniform(-1.0, 1.0))
@@ -99,19 +104,40 @@ def test_nothing_is_cancelled_that_does_not_pay():
     near_nothing = named("coulomb", level=20.0, width=1e-3)
     near_nothing["causes"][0]["parameters"]["level"] |= {"low": 0.0, "high": 21.0}
     rubbed = replace(AXIS, effects={"coulomb@slide": {"level": 20.0, "width": 1e-3}})
-    better, (said,) = compensated(law, rubbed, near_nothing)
+    better, every = compensated(law, rubbed, near_nothing)
+    said = of(every, "coulomb@slide")
     assert not said.done
     assert "times as large" in said.sentence
     assert not better.compensations
     slight = replace(AXIS, effects={"coulomb@slide": {"level": 0.02, "width": 1e-3}})
-    better, (said,) = compensated(law, slight, named("coulomb", level=0.02, width=1e-3))
-    assert not said.done
-    assert "without it errors of set-points would be" in said.sentence
+    better, every = compensated(law, slight, named("coulomb", level=0.02, width=1e-3))
+    assert "without it errors of set-points would be" in of(every, "coulomb@slide").sentence
     assert not better.compensations
     wheel = {"cosine": 5.0, "sine": 1.0}
-    content = named("imbalance", amplitude=5.1)
-    _, (said,) = compensated(law, replace(AXIS, effects={"imbalance@slide": wheel}), content)
-    assert said.sentence == "imbalance@slide is not cancelled: only what depends on a speed alone is"
+    _, every = compensated(law, replace(AXIS, effects={"imbalance@slide": wheel}), named("imbalance", amplitude=5.1))
+    assert of(every, "imbalance@slide").sentence == "imbalance@slide is not cancelled: only what depends on a speed alone is"
+    content = named("coulomb", level=20.0, width=1e-3)
+    for more, why in (
+        ({"ties": ["dead-zone@F"]}, "the records cannot tell it from dead-zone@F"),
+        (
+            {"ties": ["asymmetric-friction@slide", "imbalance@slide + offset@F"]},
+            "the records cannot tell it from imbalance@slide",
+        ),
+        ({"doubt": "it gains nothing"}, "the diagnosis is not sure of it"),
+    ):
+        _, every = compensated(law, rubbed, content | {"causes": [content["causes"][0] | more]})
+        assert of(every, "coulomb@slide").sentence == f"coulomb@slide is not cancelled: {why}"
+    _, every = compensated(law, rubbed, content | {"causes": [content["causes"][0] | {"ties": ["stribeck@slide"]}]})
+    assert of(every, "coulomb@slide").done
+
+
+def test_limits_stay_within_a_saturation_that_was_named():
+    """An integral that goes on to push where nothing more arrives comes back late."""
+    plant = replace(AXIS, effects={"saturation@F": {"limit": 80.0}})
+    content = named("saturation", "F", limit=80.0)
+    law, (said,) = compensated(designed(reference_model={"q": np.inf}, low={"F": -50.0}), plant, content)
+    assert (law.low.tolist(), law.high.tolist()) == ([-50.0], [80.0])
+    assert said.sentence == "saturation@F: F stays from -50 to 80, where the integral does not wind up"
 
 
 def test_what_cannot_be_cancelled_is_told():
@@ -123,6 +149,8 @@ def test_what_cannot_be_cancelled_is_told():
     path = designed(paths=("q",))
     with pytest.raises(InputError, match="does not say how far and fast the outputs moved"):
         compensated(path, rubbed, {key: own for key, own in content.items() if key != "moved"})
+    with pytest.raises(InputError, match="a diagnosis of web-winding"):
+        compensated(path, rubbed, content | {"plant": "web-winding"})
     with pytest.raises(InputError, match="holds no intervals"):
         compensated(path, rubbed, {"plant": "positioning-axis"})
     with pytest.raises(InputError, match="it stood still in the records"):

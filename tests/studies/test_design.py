@@ -74,7 +74,8 @@ def test_the_gain_table_holds_the_gains_of_the_law(folder):
     assert "Ki_V1_theta [V/(deg)/s]" in rows[0]
     assert len(rows) == 2
     for row in rows:
-        Kp, Ki, Kd, Kr, _, u0 = law.gains_at(float(row["r2 [m]"]))
+        Kp, Ki, Kd, Kr, _, Kaa, u0 = law.gains_at(float(row["r2 [m]"]))
+        assert float(row["Kaa_V2_w3 [V/(rad/s) s^2]"]) == Kaa[1, 0]
         assert float(row["Kp_V2_w3 [V/(rad/s)]"]) == Kp[1, 0]
         assert float(row["Ki_V1_theta [V/(deg)/s]"]) == Ki[0, 1]
         assert float(row["Kd_V2_theta [V/(deg) s]"]) == Kd[1, 1]
@@ -412,6 +413,35 @@ def test_knots_belong_to_a_scheduled_law(folder, capsys):
 )  # fmt: skip
 def test_what_set_points_go_through_is_said(models, slew, given, over, said):
     model = SimpleNamespace(outputs=(Channel("y1", "m", "output"), Channel("y2", "rad", "output")))
-    law = SimpleNamespace(bandwidth=np.array(models), slew=np.full(2, slew))
+    law = SimpleNamespace(bandwidth=np.array(models), slew=np.full(2, slew), paths=np.zeros(2, dtype=bool))
     wanted, trial = ScheduledPIDDesign(reference_model=given), Trial("", "", "", [over, 0.0], [1.0, 1.0])
     assert _setpoints_said(law, model, wanted, trial) == said
+
+
+def test_a_diagnosis_needs_its_plant_and_a_pid(folder, capsys):
+    """What cannot be cancelled is refused before any work."""
+    model = str(folder / "m.json")
+    found = folder / "alone" / "diagnosis.json"
+    found.parent.mkdir()
+    found.write_text(json.dumps({"causes": [], "recalibrated": {}, "moved": {}}))
+    assert main(["design", "mpc", "--model", model, "--diagnosis", str(found)]) == 2
+    assert "--diagnosis is for PIDs" in capsys.readouterr().err
+    assert main(["design", "pid", "--model", model, "--diagnosis", str(found)]) == 2
+    assert "no extended.json beside it" in capsys.readouterr().err
+    assert main(["design", "pid", "--model", model, "--dt", "0.01"]) == 2
+    assert "--dt is for a plant as --model" in capsys.readouterr().err
+    assert main(["design", "pid", "--model", "welding-robot"]) == 2
+    assert "it moves on its own" in capsys.readouterr().err
+
+
+def test_a_plant_is_a_model_about_its_start(folder, capsys):
+    out = folder / "axis"
+    given = ["--dt", "0.01", "--path", "q", "--step", "q=0.1", "--out", str(out)]
+    assert main(["design", "pid", "--model", "positioning-axis", *given]) == 0
+    said = capsys.readouterr().out
+    assert "q from F, order 2, sampled every 0.01 s" in said
+    assert "steps of q 0.1 m" in said
+    assert "q through the feedforward of its rate and acceleration" in said
+    law = load_controller(out / "pid.json")
+    np.testing.assert_allclose(law.Ka, 200.0, rtol=1e-3)
+    np.testing.assert_allclose(law.Kaa, 95.0 + 0.01 * 200.0, rtol=5e-3)  # M, half a sample of Fv, half of a path's rate
