@@ -24,8 +24,9 @@ import numpy as np
 
 from controllers.scheduled_pid import Compensation, ScheduledPID
 from workbench.curves import Curve
+from workbench.data import SAME_DT
 from workbench.errors import InputError, check_known
-from workbench.physics.effects.effect import FOREVER, Effect, Named
+from workbench.physics.effects.effect import FOREVER, Domain, Effect, Named
 from workbench.physics.effects.shaft import Shaft
 from workbench.physics.plant import Plant
 from workbench.records import field, record
@@ -42,7 +43,7 @@ SLIGHT = 0.01  # of what moves a speed: what is less is left out
 STEPS, STEP = 4, 0.01  # of the fit; of a unit, for slopes
 SHARES, ENOUGH = (1.0, 0.5, 0.2), 0.99  # of a step, that are tried; ratio of squares from where on it is done
 RIDGE = 1e-4  # of what changes most: numbers that change nothing stay as they are
-SHORTEST, LONGEST = 20, 3000  # samples of a move
+SHORTEST, LONGEST, HELD = 20, 3000, 500  # samples of a move, and of a stand before them, in which a machine comes to rest
 NODES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)  # of a curve, in widths of the law's change of sign
 EVEN = 8  # nodes more, evenly up to the highest speed
 
@@ -86,6 +87,12 @@ def compensated(
     box, moved = ParameterBox(plant, fitted_box_of(plant, content, path)), _moved(content, path)
     if content.get("plant", plant.name) != plant.name:
         raise InputError(f"a diagnosis of {content['plant']}", file=path, mend=f"give that of {plant.name}, or another plant")
+    if foreign := [key for own in content["causes"] if (key := f"{own['effect']}@{own['at']}") not in plant.effects]:
+        mend = "give the extended.json that was written beside it as --plant"
+        raise InputError(f"names {foreign[0]}, which {plant.name} does not have", file=path, mend=mend)
+    if abs(law.dt / plant.dt - round(law.dt / plant.dt)) > SAME_DT * law.dt / plant.dt or law.dt < plant.dt * (1.0 - SAME_DT):
+        mend = f"--dt of {plant.dt:g} s, or a whole multiple of it"
+        raise InputError(f"the law runs every {law.dt:g} s, the plant every {plant.dt:g} s", file=plant.name, mend=mend)
     law, told = _within_saturation(law, plant)
     keys = [key for key in plant.effects if key not in [own.effect for own in told]]
     if not (followed := np.isfinite(law.bandwidth) | law.paths).any():
@@ -135,7 +142,9 @@ def _within_saturation(law: ScheduledPID, plant: Plant) -> tuple[ScheduledPID, l
 
 def _unsure(key: str, plant: Plant, content: Any) -> str:
     """Why a cause is not known well enough to be cancelled, in words; empty where it is."""
-    cause = next((own for own in content["causes"] if f"{own['effect']}@{own['at']}" == key), {})
+    cause = next((own for own in content["causes"] if f"{own['effect']}@{own['at']}" == key), None)
+    if cause is None:
+        return "the diagnosis does not name it, and so says nothing of its size"
     if cause.get("doubt"):
         return "the diagnosis is not sure of it"
     rivals = [own for name in cause.get("ties", ()) for own in name.split(" + ")]
@@ -166,9 +175,16 @@ def _lost(before: np.ndarray, after: np.ndarray) -> str:
     return f"the worst of {len(ratio)} drawn machines {worst}"
 
 
-def moved_by(content: Any, path: Any = "diagnosis") -> dict[str, float]:
-    """Steps of set-points by output: half of the range of the records of a diagnosis. Raises InputError as `compensated`."""
-    return {name: 0.5 * INNER * (own.high - own.low) for name, own in _moved(content, path).items() if own.high > own.low}
+def moved_by(content: Any, at: Mapping[str, float], path: Any = "diagnosis") -> dict[str, float]:
+    """Steps of set-points by output: half of the range of the records of a diagnosis, from where they are `at` to its middle.
+
+    Raises InputError as `compensated`.
+    """
+    found = {}
+    for name, own in _moved(content, path).items():
+        if own.high > own.low:
+            found[name] = float(np.copysign(0.5 * INNER * (own.high - own.low), own.high + own.low - 2.0 * at.get(name, own.low)))
+    return found
 
 
 def _moved(content: Any, path: Any) -> dict[str, Moved]:
@@ -224,13 +240,18 @@ class _Job:
             name = controlled[int(np.argmin(self.size))]
             mend = "diagnose records in which it moves"
             raise InputError("it stood still in the records of the diagnosis", file=plant.name, channel=name, mend=mend)
-        rest = np.array(plant.output(*plant.equilibrium()[:1]))[self.outputs]
+        x, u = plant.equilibrium()
+        eta = plant.effect_vector()
+        memory = plant.settle(plant.output(x, None, u), eta)
+        rest = np.array(plant.read(memory, np.zeros(len(plant.outputs)), eta), dtype=float)[self.outputs]  # as it is measured
         self.references, self.every = _moves(rest, own, law.dt), every
         held = np.repeat(self.references, every, axis=0)
         self.scenario = Scenario("job", dict(zip(law.references, held.T, strict=True)))
-        self.found = plant.nominal[None], plant.effect_vector()[None]
-        z = np.random.default_rng(0).uniform(size=(DRAWN, box.n))
-        self.machines = tuple(np.vstack(both) for both in zip(self.found, box.vectors(z), strict=True))
+        jumped = [slot.effect.domain is Domain.TIME and slot.parameter.name == "time" for slot in plant.slots]
+        long_ago = lambda own: np.where(jumped, [slot.parameter.low for slot in plant.slots], own)  # noqa: E731
+        self.found = plant.nominal[None], long_ago(eta[None])
+        p, drawn = box.vectors(np.random.default_rng(0).uniform(size=(DRAWN, box.n)))
+        self.machines = np.vstack([self.found[0], p]), np.vstack([self.found[1], long_ago(drawn)])
 
     def run(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> Any:
         """Trajectories of machines (R) at the law's samples."""
@@ -242,7 +263,7 @@ class _Job:
         y = self.run(law, p, eta).measured[:, :: self.every, self.outputs]
         begun, which = np.unique(y[:, 0], axis=0, return_inverse=True)  # where m begins
         m = np.array([law.aimed(self.references, own)[0] for own in begun])
-        return (m[which.ravel()] - y) / self.size
+        return ((m[which.ravel()] - y) / self.size)[:, HELD:]
 
     def drawn(self, law: ScheduledPID) -> np.ndarray:
         """Root mean square error (R,) of the machine found and of the drawn ones; infinite where one leaves its range."""
@@ -309,10 +330,11 @@ class _Job:
         return given.with_shapes([Compensation(c.input, key, position, motion, c, over) for c in curves])
 
     def _told_by_set_points(self, law: ScheduledPID, state: int) -> tuple[np.ndarray, np.ndarray, float, float] | None:
-        """Weights of m and of m' (nr,), and what is added, that give a state where no effect acts; and the largest of it. None
+        """Weights of m and of m' (nr,), and what is added, that give a state where nothing rubs; and the largest of it. None
         where they do not give it.
         """
-        run = self.run(law.uncompensated, self.found[0], self.plant.neutral[None])
+        rubbing = [slot.effect.family == Shaft.family for slot in self.plant.slots]
+        run = self.run(law.uncompensated, self.found[0], np.where(rubbing, self.plant.neutral, self.found[1]))
         if not np.isfinite(run.measured).all():
             return None
         m, rate = law.aimed(self.references, run.measured[0, 0, self.outputs])
@@ -360,7 +382,7 @@ def _moves(rest: np.ndarray, moved: Sequence[Moved], dt: float) -> np.ndarray:
     """Set-points (N, nr): one after the other goes up and down in its range, at speeds up to the fastest of the records, and
     stands between; from rest (nr,).
     """
-    random, at, found = np.random.default_rng(0), rest.copy(), [rest[None]]
+    random, at, found = np.random.default_rng(0), rest.copy(), [np.repeat(rest[None], HELD, axis=0)]
     for j, own in enumerate(moved):
         middle, half = 0.5 * (own.low + own.high), 0.5 * INNER * (own.high - own.low)
         for k in range(MOVES):

@@ -108,7 +108,10 @@ class ScheduledPIDDesign:
                 mend = "leave one of both out"
                 raise InputError("a path goes through no reference model", channel=name, mend=mend)
         limits = ("reference_model", "a bandwidth in rad/s"), ("slew", "a largest rate per second")
-        for key, unit in (*limits, ("steps", "the size of a step")):
+        for name, step in self.steps.items():
+            if not (np.isfinite(step) and step):
+                raise InputError(f"steps {step:g}", channel=name, mend="the size of a step, with its sign")
+        for key, unit in limits:
             for name, value in getattr(self, key).items():
                 if not value > 0.0:
                     raise InputError(f"{key} {value:g}", channel=name, mend=f"{unit} above 0, inf for none")

@@ -428,16 +428,26 @@ class ScheduledPID:
         """Memory before the first sample: z (nu), f (ny), last c m - y (ny), last u (nu), cold, taking over, and where set-points
         are shaped s, m, m' (ny each).
 
-        Without u the first command is that of z = 0. With u it is u itself: a start without a bump.
+        Without u the first command is that of z = 0. With u it is u itself, for as long as a path's acceleration is not known: a
+        start without a bump. The samples for which that is so are counted in "cold" and "taking over".
         """
         nu, ny = self.Kp.shape[1:]
-        last = np.zeros(nu) if u is None else np.asarray(u, dtype=float)
-        return np.concatenate([np.zeros(nu + 2 * ny), last, [1.0, 0.0 if u is None else 1.0], np.zeros(3 * ny * self.shaped)])
+        last, unknown = np.zeros(nu) if u is None else np.asarray(u, dtype=float), self._unknown
+        begins = [unknown, 0.0 if u is None else unknown]
+        return np.concatenate([np.zeros(nu + 2 * ny), last, begins, np.zeros(3 * ny * self.shaped)])
+
+    @property
+    def _unknown(self) -> float:
+        """Samples after which a path's rate and acceleration are known: three, and 1 of other laws."""
+        return 3.0 if self.paths.any() else 1.0
 
     def law(self, gains: Any, state: Any, r: Any, y: Any, rho: Any = None) -> tuple[list, list]:
         """(u, memory) on numbers, arrays or symbols."""
         K, at = self._numbers(gains, rho), self._split(state)
+        cold, takes_over = (np.maximum(own - 1.0, 0.0) for own in (at.cold, at.takes_over))  # after this sample
+        at = at._replace(takes_over=np.minimum(at.takes_over, 1.0))
         aim = self._aim(K, at, r, y)
+        at = at._replace(cold=self._first(at.cold))
         r = aim.m
         direct, f, d = self._direct(K, at, aim, y)
         after, u = [], []
@@ -451,16 +461,31 @@ class ScheduledPID:
             if isinstance(self.anti_windup, Clamping):
                 push = push * (1.0 - ((wanted - u[i]) * push > 0.0))
             after.append(z + push + K.follow[i] * (K.arrives(i, u[i]) - v))
-        return u, [*after, *f, *d, *u, 0.0 * at.cold, 0.0 * at.cold, *aim.memory]
+        return u, [*after, *f, *d, *u, cold, takes_over, *aim.memory]
 
     def step(self, state: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> tuple[np.ndarray, np.ndarray]:
         """One sample: (u, next memory). Where a set-point, a measurement or the schedule is no finite number, the last command
-        is held and nothing is remembered: the sample is left out.
+        is held and nothing is remembered: the sample is left out. A path goes on all the same.
         """
         if not np.isfinite([*r, *y, *np.atleast_1d(0.0 if self.schedule is None or rho is None else rho)]).all():
-            return np.clip(self._split(state).u, self.low, self.high), state
+            return np.clip(self._split(state).u, self.low, self.high), self._passed(state, r)
         u, after = self.law(self.gains, state, r, y, rho)
         return np.array(u, dtype=float), np.array(after, dtype=float)
+
+    def _passed(self, state: np.ndarray, r: np.ndarray) -> np.ndarray:
+        """Memory after a sample that is left out: a path goes on, guessed where it is no number; then the next commands go on
+        from the last one.
+        """
+        at = self._split(state)
+        if not self.paths.any() or at.cold == self._unknown:
+            return state
+        s, m, rate = (np.array(own, dtype=float) for own in (at.s, at.m, at.rate))
+        lost = self.paths & ~np.isfinite(r)
+        now = np.clip(np.where(lost, m + self.dt * rate, r), s - self.slew * self.dt, s + self.slew * self.dt)
+        rate = np.where(self.paths & ~lost, (now - m) / self.dt, rate)
+        s, m = (np.where(self.paths, now, own) for own in (s, m))
+        begins = [at.cold, self._unknown if lost.any() else at.takes_over]
+        return np.array([*at.z, *at.f, *at.d, *at.u, *begins, *s, *m, *rate], dtype=float)
 
     def follow(self, state: np.ndarray, u: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> np.ndarray:
         """Memory after a sample in which somebody else commanded u: a person, another controller, this one with other gains.
@@ -478,9 +503,15 @@ class ScheduledPID:
             raise InputError(f"memory of {len(state)} numbers", file=self.name, mend=f"{expected}: that of a law like it")
         K, at = self._numbers(self.gains, rho), self._split(state)
         aim = self._aim(K, at, r, y)
+        at = at._replace(cold=self._first(at.cold))
         direct, f, d = self._direct(K, at, aim, y)
+        f = [0.0 if path else own for own, path in zip(f, self.paths, strict=True)]  # of another law's m it says nothing
         z = [K.arrives(i, u[i]) - own for i, own in enumerate(direct)]
-        return np.array([*z, *f, *d, *u, 0.0, 0.0, *aim.memory], dtype=float)
+        return np.array([*z, *f, *d, *u, 0.0, self._unknown * self.paths.any(), *aim.memory], dtype=float)
+
+    def _first(self, cold: Any) -> Any:
+        """1 at the first sample, else 0."""
+        return np.maximum(cold - (self._unknown - 1.0), 0.0)
 
     def _aim(self, K: "_Numbers", at: "_Memory", r: Any, y: Any) -> "_Aim":
         """What the loop follows: the set-points within their slew, through their reference models."""
@@ -489,11 +520,12 @@ class ScheduledPID:
         s, m, rate, acceleration = [], [], [], []
         for j, ((a, b, c, d, e, f), (g, h, i)) in enumerate(zip(K.reference_model, K.acceleration, strict=True)):
             begins = r[j] if self.paths[j] else y[j]
-            held, was = (own[j] + at.cold * (begins - own[j]) for own in (at.s, at.m))
+            held, was = (own[j] + self._first(at.cold) * (begins - own[j]) for own in (at.s, at.m))
             s.append(_near(held, K.slew[j], r[j]))
             m.append(a * was + b * at.rate[j] + c * s[j])
             rate.append(d * was + e * at.rate[j] + f * s[j])
-            acceleration.append(g * (s[j] - m[j]) + h * rate[j] + i * at.rate[j])
+            change = g * (s[j] - m[j]) + h * rate[j] + i * at.rate[j]
+            acceleration.append(change * (1.0 - np.minimum(np.maximum(at.cold - 1.0, 0.0), 1.0)) if self.paths[j] else change)
         return _Aim(m, rate, acceleration, s)
 
     def _direct(self, K: "_Numbers", at: "_Memory", aim: "_Aim", y: Any) -> tuple[list, list, list]:

@@ -61,6 +61,11 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
 def _model(options: Namespace) -> Model:
     """The model in a file, or that of a plant about its start."""
     if is_plant(options.model):
+        if options.dt is not None and not 0.0 < options.dt < np.inf:
+            raise InputError(f"--dt {options.dt:g}", mend="the sample time of the law in s, above 0")
+        if options.kind in ("mpc", "nmpc"):
+            mend = "identify one from records, which say how its errors go on"
+            raise InputError(f"{options.kind} on a plant's linear model", file=options.model, mend=mend)
         return linearised(choose_plant(options.model).plant, options.dt)
     if options.dt:
         raise InputError("--dt is for a plant as --model", mend="leave it out: a model has its sample time")
@@ -124,7 +129,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
         "trial": vars(trial), "compensations": [vars(own) for own in became],
     }  # fmt: skip
     read = [
-        options.model,
+        *_files(options.model),
         *options.robust_to,
         *([options.diagnosis] if options.diagnosis else []),
         *(chosen.files if chosen else ()),
@@ -285,7 +290,8 @@ def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesig
 def _steps(options: Namespace, model: LPVModel) -> dict[str, float]:
     """Steps by output that the law is tried with: as given, else over half of what the records of the diagnosis went through."""
     known = [c.name for c in model.outputs]
-    told = moved_by(read_json(options.diagnosis), options.diagnosis) if options.diagnosis else {}
+    at = dict(zip(known, model.operating_point.basis(model.middle) @ model.operating_point.y, strict=True))
+    told = moved_by(read_json(options.diagnosis), at, options.diagnosis) if options.diagnosis else {}
     return {name: step for name, step in told.items() if name in known} | _given(options.step)
 
 

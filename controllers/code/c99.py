@@ -51,8 +51,8 @@ typedef struct {
     ${name}_real f[${NAME}_NY]; /* filtered derivatives of C $m - y */
     ${name}_real d[${NAME}_NY]; /* last C $m - y */
 ${shaping_state}    ${name}_real u[${NAME}_NU]; /* last commands */
-    bool cold; /* no sample yet: no derivative */
-    bool takes_over; /* the next command goes on from u */
+    $flag cold; /* no sample yet: no derivative$counted */
+    $flag takes_over; /* the next command goes on from u */
     /* what the last step reports */
     bool valid; /* every number of the step was one: the last command is held where not */
 $outside    int limit[${NAME}_NU]; /* ${NAME}_FREE, _AT_LOW, _AT_HIGH or _AT_RATE */
@@ -97,7 +97,7 @@ static real clipped(real x, real low, real high)
 $curves$weights
 void ${name}_init(${name}_state *s)
 {
-    *s = (${name}_state){.cold = true};
+    *s = (${name}_state){.cold = $begun};
 }
 
 void ${name}_take_over(${name}_state *s, const real u[NU])
@@ -108,7 +108,7 @@ void ${name}_take_over(${name}_state *s, const real u[NU])
     ${name}_init(s);
     for (int i = 0; i < NU; ++i)
         s->u[i] = held[i];
-    s->takes_over = true;
+    s->takes_over = $begun;
 }
 
 void ${name}_step(${name}_state *s, const real r[NY], const real y[NY], ${rho_real}real u[NU])
@@ -121,11 +121,11 @@ $schedule    s->valid = $finite;
             u[i] = clipped(s->u[i], LOW[i], HIGH[i]);
             s->limit[i] = ${NAME}_FREE;
         }
-        return;
+$passed        return;
     }
 $accelerations    for (int j = 0; j < NY; ++j) {
 $shaping        const real d = C[j] * $aim - y[j];
-        s->f[j] = s->cold ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
+        s->f[j] = $first ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
         s->d[j] = d;
     }
     for (int i = 0; i < NU; ++i) {
@@ -140,7 +140,7 @@ $Ka            own += $Kp * (B[j] * $aim - y[j]);
 $compensating        if (s->takes_over)
             s->z[i] = $held - own;
         const real v = own + s->z[i];
-${wanting}        const real way = s->cold && !s->takes_over ? NO_LIMIT : RATE[i] * PERIOD;
+${wanting}        const real way = $first && !s->takes_over ? NO_LIMIT : RATE[i] * PERIOD;
         const real reached = clipped($wanted, s->u[i] - way, s->u[i] + way);
         u[i] = clipped(reached, LOW[i], HIGH[i]);
         s->limit[i] = reached < LOW[i] ? ${NAME}_AT_LOW
@@ -150,7 +150,7 @@ ${wanting}        const real way = s->cold && !s->takes_over ? NO_LIMIT : RATE[i
         $integral
         s->u[i] = u[i];
     }
-    s->cold = s->takes_over = false;
+    $warm
 }
 """)
 C_WEIGHTS = Template("""
@@ -223,8 +223,8 @@ C_SHAPING_STATE = Template("""\
     double n[${NAME}_NY]; /* their rates */
 """)
 C_SHAPING = Template("""\
-        const double way = SLEW[j] * ${double}PERIOD, held = s->cold ? ${double}$begins : s->s[j];
-        const double m = s->cold ? ${double}$begins : s->m[j], n = s->cold ? 0 : s->n[j];
+        const double way = SLEW[j] * ${double}PERIOD, held = $first ? ${double}$begins : s->s[j];
+        const double m = $first ? ${double}$begins : s->m[j], n = $first ? 0 : s->n[j];
         s->s[j] = fmax(held - way, fmin(held + way, ${double}r[j]));
         s->m[j] = MODEL[j][0] * m + MODEL[j][1] * n + MODEL[j][2] * s->s[j];
         s->n[j] = MODEL[j][3] * m + MODEL[j][4] * n + MODEL[j][5] * s->s[j];
@@ -232,6 +232,27 @@ $accelerate""")
 C_ACCELERATE = """\
         acceleration[j] = CHANGE[j][0] * (s->s[j] - s->m[j]) + CHANGE[j][1] * s->n[j] + CHANGE[j][2] * n;
 """
+C_NOT_YET = """\
+        if (AT_SETPOINT[j] > 0 && s->cold > 1)
+            acceleration[j] = 0; /* not known yet */
+"""
+C_PASSED = Template("""\
+        for (int j = 0; j < NY && s->cold < 3; ++j) { /* a path goes on all the same */
+            if (!(AT_SETPOINT[j] > 0))
+                continue;
+            const double way = SLEW[j] * ${double}PERIOD;
+            const double known = isfinite(r[j]) ? ${double}r[j] : s->m[j] + ${double}PERIOD * s->n[j];
+            const double now = fmax(s->s[j] - way, fmin(s->s[j] + way, known));
+            if (isfinite(r[j]))
+                s->n[j] = (now - s->m[j]) / ${double}PERIOD;
+            else
+                s->takes_over = 3;
+            s->s[j] = s->m[j] = now;
+        }
+""")
+C_COUNTED = """\
+s->cold -= s->cold > 0;
+    s->takes_over -= s->takes_over > 0;"""
 C_BACK_CALCULATION = "s->z[i] = s->z[i] + push + PERIOD / TRACKING[i] * ($arrives - v);"
 C_CLAMPING = """\
 if (!(($wanted - u[i]) * push > 0))
@@ -278,7 +299,12 @@ $commanded
 def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
     """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
     number, f = (_float, "f") if single else (double_text, "")
-    narrow, accelerated = "(real)" * single, bool(law.Kaa.any())  # of what is kept in double precision
+    narrow, accelerated, paths = (
+        "(real)" * single,
+        bool(law.Kaa.any()),
+        bool(law.paths.any()),
+    )  # of what is kept in double precision
+    first = "s->cold == 3" if paths else "s->cold"
     if single:
         _check_float(law)
     scheduled, several, sizes = law.schedule is not None, law.span.ndim > 1, table_sizes(law)
@@ -304,9 +330,13 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "Ka": f"            own += {gain('KA[i][j]')} * {narrow}s->n[j];\n" * law.shaped
         + f"            own += {gain('KAA[i][j]')} * {narrow}acceleration[j];\n" * accelerated,
         "shaping": C_SHAPING.substitute(
-            double="(double)" * single, accelerate=C_ACCELERATE * accelerated,
+            double="(double)" * single, accelerate=(C_ACCELERATE + C_NOT_YET * paths) * accelerated, first=first,
             begins="(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if law.paths.any() else "y[j]",
         ) * law.shaped,
+        "first": first, "flag": "int" if paths else "bool", "begun": "3" if paths else "true",
+        "counted": "; and samples until a path's acceleration is known" * paths,
+        "warm": C_COUNTED if paths else "s->cold = s->takes_over = false;",
+        "passed": C_PASSED.substitute(double="(double)" * single) * paths,
         "accelerations": "    double acceleration[NY];\n" * accelerated,
         "compensating": "".join(_c_compensation(law, k, narrow) for k in range(len(law.compensations))),
         "shaping_state": C_SHAPING_STATE.substitute(name=name, NAME=NAME) * law.shaped,

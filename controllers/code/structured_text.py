@@ -64,7 +64,7 @@ END_VAR
 IF restart OR take_over THEN
     warm := FALSE;
     takes_over := take_over;
-    FOR i := 1 TO NU DO
+$counted_anew    FOR i := 1 TO NU DO
         z[i] := 0.0;
         last[i] := 0.0;
         IF take_over THEN
@@ -88,7 +88,7 @@ IF NOT valid THEN (* the sample is left out *)
         END_IF;
         limited[i] := 0;
     END_FOR;
-    RETURN;
+$passed    RETURN;
 END_IF;
 
 FOR j := 1 TO NY DO
@@ -140,7 +140,7 @@ $arriving$integral
 END_FOR;
 warm := TRUE;
 takes_over := FALSE;
-END_FUNCTION_BLOCK
+${counted}END_FUNCTION_BLOCK
 """)
 ST_CURVE_LOCALS = """\
     wanted : LREAL; (* the command of which v arrives *)
@@ -258,6 +258,54 @@ ST_SHAPING = """\
     m[j] := MODEL[j, 1] * before + MODEL[j, 2] * n[j] + MODEL[j, 3] * s[j];
 $kept    n[j] := MODEL[j, 4] * before + MODEL[j, 5] * n[j] + MODEL[j, 6] * s[j];
 $accelerate"""
+ST_NOT_YET = """\
+    IF AT_SETPOINT[j] > 0.0 AND unknown > 1 THEN (* not known yet *)
+        acceleration[j] := 0.0;
+    END_IF;
+"""
+ST_COUNTERS = """\
+    unknown : INT; (* samples until a path's acceleration is known *)
+    holding : INT; (* samples for which the command goes on from last *)
+"""
+ST_COUNTED_ANEW = """\
+    unknown := 3;
+    holding := 0;
+    IF take_over THEN
+        holding := 3;
+    END_IF;
+"""
+ST_COUNTED = """\
+IF unknown > 0 THEN
+    unknown := unknown - 1;
+END_IF;
+IF holding > 0 THEN
+    holding := holding - 1;
+END_IF;
+takes_over := holding > 0;
+"""
+ST_PASSED = """\
+    FOR j := 1 TO NY DO (* a path goes on all the same *)
+        IF warm AND AT_SETPOINT[j] > 0.0 THEN
+            before := m[j];
+            IF set_point[j] - set_point[j] = 0.0 THEN
+                s[j] := set_point[j];
+            ELSE
+                s[j] := before + PERIOD * n[j];
+                holding := 3;
+                takes_over := TRUE;
+            END_IF;
+            IF s[j] < before - SLEW[j] * PERIOD THEN
+                s[j] := before - SLEW[j] * PERIOD;
+            ELSIF s[j] > before + SLEW[j] * PERIOD THEN
+                s[j] := before + SLEW[j] * PERIOD;
+            END_IF;
+            IF set_point[j] - set_point[j] = 0.0 THEN
+                n[j] := (s[j] - before) / PERIOD;
+            END_IF;
+            m[j] := s[j];
+        END_IF;
+    END_FOR;
+"""
 ST_ACCELERATE = """\
     acceleration[j] := CHANGE[j, 1] * (s[j] - m[j]) + CHANGE[j, 2] * n[j] + CHANGE[j, 3] * n_before;
 """
@@ -295,7 +343,7 @@ ST_CLAMPING = """\
 def st_code(law: ScheduledPID, name: str) -> str:
     """A FUNCTION_BLOCK of that name, all numbers LREAL."""
     scheduled, sizes = law.schedule is not None, table_sizes(law)
-    accelerated, fed = bool(law.Kaa.any()), ["Ka"] * law.shaped + ["Kaa"] * bool(law.Kaa.any())
+    accelerated, paths, fed = bool(law.Kaa.any()), bool(law.paths.any()), ["Ka"] * law.shaped + ["Kaa"] * bool(law.Kaa.any())
     of_rates = (Template(ST_GAIN_OF_RATES).substitute(gain=f"gain_{key[1:]}", K=key.upper()) for key in fed)
     gains = (ST_GAINS + "".join(of_rates)) * scheduled
     named = {key: f"gain_{key[1:]}" if scheduled else f"{key.upper()}[i, j]" for key in ("Kp", "Ki", "Kd", "Kr", "Ka", "Kaa")}
@@ -319,6 +367,7 @@ def st_code(law: ScheduledPID, name: str) -> str:
             [
                 ST_CURVE_LOCALS * bool(law.curves), "    node : INT;\n" * bool(law.curves or law.compensations),
                 "    moved : LREAL; (* where a compensation's curve is read *)\n" * bool(law.compensations),
+                ST_COUNTERS * paths,
                 f"    n_before : LREAL;\n    acceleration : ARRAY[1..{sizes['NY']}] OF LREAL;\n" * accelerated,
                 _st_locals(law, sizes) if scheduled else "",
             ]
@@ -330,9 +379,10 @@ def st_code(law: ScheduledPID, name: str) -> str:
         + f"        own := own + {named['Kaa']} * acceleration[j];\n" * accelerated,
         "shaping": Template(ST_SHAPING).substitute(
             begins="measured[j] + AT_SETPOINT[j] * (set_point[j] - measured[j])" if law.paths.any() else "measured[j]",
-            kept="    n_before := n[j];\n" * accelerated, accelerate=ST_ACCELERATE * accelerated,
+            kept="    n_before := n[j];\n" * accelerated, accelerate=(ST_ACCELERATE + ST_NOT_YET * paths) * accelerated,
         ) * law.shaped,
-        "compensating": compensating,
+        "compensating": compensating, "passed": ST_PASSED * paths, "counted": ST_COUNTED * paths,
+        "counted_anew": ST_COUNTED_ANEW * paths,
         "shaping_state": Template(ST_SHAPING_STATE).substitute(ny=sizes["NY"]) * law.shaped,
         "m": "m" if law.shaped else "r", "aim": "m[j]" if law.shaped else "set_point[j]",
         "held": _st_curves(law, "last[i]", "arrives", 8), "arrived": "arrives" if law.curves else "last[i]",

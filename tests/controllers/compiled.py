@@ -26,11 +26,13 @@ class CompiledLaw:
         nu, ny = law.Kp.shape[1:]
         self.scheduled, self.real = law.schedule is not None, ctypes.c_float if single else ctypes.c_double
 
+        flag = ctypes.c_int if law.paths.any() else ctypes.c_bool
+
         class State(ctypes.Structure):
             _fields_ = (
                 ("z", self.real * nu), ("f", self.real * ny), ("d", self.real * ny),
                 *((key, ctypes.c_double * ny) for key in ("s", "m", "n") * law.shaped), ("u", self.real * nu),
-                ("cold", ctypes.c_bool), ("takes_over", ctypes.c_bool), ("valid", ctypes.c_bool),
+                ("cold", flag), ("takes_over", flag), ("valid", ctypes.c_bool),
                 *((("outside", ctypes.c_bool),) if self.scheduled else ()), ("limit", ctypes.c_int * nu),
             )  # fmt: skip
 

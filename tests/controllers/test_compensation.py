@@ -131,6 +131,24 @@ def test_nothing_is_cancelled_that_does_not_pay():
     assert of(every, "coulomb@slide").done
 
 
+@pytest.mark.slow
+def test_a_bias_and_friction_that_began_long_ago_hide_nothing():
+    """The job began with a step of the bias, and before the jump: both times friction of 22 N was worth nothing."""
+    law, rubs = designed(paths=("q",)), {"level": 22.0, "width": 1e-3}
+    for effects in (
+        {"coulomb@slide": rubs, "sensor-bias@q": {"level": 0.05}},
+        {"friction-jump@slide": rubs | {"time": 60.0}},
+    ):
+        key = next(iter(effects))
+        content = named(key.partition("@")[0], **effects[key])
+        bias = {"effect": "sensor-bias", "at": "q", "parameters": {"level": within(0.05, 0.1)}}
+        content["causes"] += [bias] * (len(effects) - 1)
+        better, every = compensated(law, replace(AXIS, effects=effects), content)
+        assert of(every, key).done, of(every, key).sentence
+        assert np.median(of(every, key).before / of(every, key).after) > 4.0
+        assert [own.effect for own in better.compensations] == [key]
+
+
 def test_limits_stay_within_a_saturation_that_was_named():
     """An integral that goes on to push where nothing more arrives comes back late."""
     plant = replace(AXIS, effects={"saturation@F": {"limit": 80.0}})
@@ -151,6 +169,10 @@ def test_what_cannot_be_cancelled_is_told():
         compensated(path, rubbed, {key: own for key, own in content.items() if key != "moved"})
     with pytest.raises(InputError, match="a diagnosis of web-winding"):
         compensated(path, rubbed, content | {"plant": "web-winding"})
+    with pytest.raises(InputError, match="names coulomb@slide, which positioning-axis does not have"):
+        compensated(path, AXIS, content)
+    with pytest.raises(InputError, match=r"the law runs every 0.004 s, the plant every 0.003 s"):
+        compensated(path, rubbed.sampled(0.003), content)
     with pytest.raises(InputError, match="holds no intervals"):
         compensated(path, rubbed, {"plant": "positioning-axis"})
     with pytest.raises(InputError, match="it stood still in the records"):

@@ -541,3 +541,49 @@ def test_a_lost_sample_is_left_out(lost):
     np.testing.assert_array_equal(after, state)
     first, _ = law.step(law.init(), **(given | lost))
     np.testing.assert_array_equal(first, np.clip(0.0, law.low, law.high))
+
+
+def path_law():
+    """A path of 0.3 m/s is held by 60 N and 95 kg are fed forward; without friction and feedback to speak of."""
+    return ScheduledPID(
+        ("F",), ("q",), ("q_set",), 0.004, [[[2e4]]], [[[100.0]]], [[[1500.0]]], [[[0.0]]], [[0.0]], [1.0], [1.0],
+        [-np.inf], [np.inf], [np.inf], 0.008, Ka=[[[200.0]]], Kaa=[[[95.0]]],
+    )  # fmt: skip
+
+
+def followed_path(law, state, ks, lost=(), path=lambda t: 0.3 * t):
+    """Commands along a path that the machine follows exactly; samples in `lost` have no measurement, or no set-point."""
+    said = []
+    for k in ks:
+        r = path(0.004 * k)
+        gone = dict(lost).get(k)
+        u, state = law.step(state, np.array([np.nan if gone == "r" else r]), np.array([np.nan if gone == "y" else r]))
+        said.append(u[0])
+    return np.array(said), state
+
+
+@pytest.mark.parametrize("gone", ["y", "r"])
+def test_a_path_goes_on_while_samples_are_left_out(gone):
+    """Its difference over a gap was taken for that of one sample, and kicked by a hundred times the load."""
+    said, _ = followed_path(path_law(), path_law().init(), range(60), [(k, gone) for k in range(30, 36)])
+    np.testing.assert_allclose(said[5:], 60.0, atol=0.5)
+    bent = lambda t: 0.5 * t**2  # noqa: E731 - 1 m/s^2: what is guessed is not the path
+    said, _ = followed_path(path_law(), path_law().init(), range(60), [(k, gone) for k in range(30, 36)], bent)
+    whole, _ = followed_path(path_law(), path_law().init(), range(60), (), bent)
+    assert np.abs(said[36:] - whole[36:]).max() < 20.0
+
+
+def test_a_law_takes_over_on_a_path_that_moves_without_a_bump():
+    law = path_law()
+    said, _ = followed_path(law, law.init(np.array([60.0])), range(100, 200))
+    np.testing.assert_allclose(said, 60.0, atol=0.5)
+    modelled = replace(law, bandwidth=10.0)
+    _, state = followed_path(modelled, modelled.init(np.array([60.0])), range(100, 160))
+    state = law.follow(state, np.array([60.0]), np.array([0.3 * 0.64]), np.array([0.3 * 0.64]))
+    said, _ = followed_path(law, state, range(161, 220))
+    np.testing.assert_allclose(said, 60.0, atol=0.5)
+
+
+def test_a_path_that_moves_already_does_not_kick_at_the_first_samples():
+    said, _ = followed_path(path_law(), path_law().init(), range(100, 130))
+    assert np.abs(said).max() < 62.0
