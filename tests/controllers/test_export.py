@@ -112,7 +112,7 @@ LAWS = {
     "a curve, clamping, a reference model": drawn(21, 1, 2, anti_windup=Clamping(), curves=(VALVE,), bandwidth=(9.0, 4.0)),
     "accelerations over knots": drawn(22, 2, 3, KNOTS, 3, **FED, bandwidth=(9.0, 40.0, np.inf), compensations=ADDED),
     "paths of a fixed law, slewed": drawn(
-        23, 2, 2, slew=(0.7, np.inf), Ka=[[[0.3, -0.1], [-0.2, 0.4]]], Kaa=[[[0.03, 0.01], [-0.02, 0.04]]]
+        25, 2, 2, slew=(0.7, np.inf), Ka=[[[0.3, -0.1], [-0.2, 0.4]]], Kaa=[[[0.03, 0.01], [-0.02, 0.04]]]
     ),
     "compensation of what stands still, a curve": drawn(24, 3, 3, curves=(VALVE,), compensations=STILL, anti_windup=Clamping()),
     "no limits": drawn(13, 2, 3, low=(-np.inf,) * 2, high=(np.inf,) * 2, rate=(np.inf,) * 2),
