@@ -13,7 +13,7 @@ import workbench as wb
 from controllers import MPCDesign, ScheduledPIDDesign
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
-from controllers.scheduled_pid import ScheduledPID
+from controllers.scheduled_pid import Compensation, ScheduledPID
 from studies.cli import main
 from workbench.curves import Curve, bent
 from workbench.data import Channel, Dataset, Experiment
@@ -365,3 +365,11 @@ def test_the_command_line_from_records_to_firmware(model, law, records, tmp_path
     assert "knows nothing of the curve of u\n  mend: design a PID on this model" in capsys.readouterr().err
     assert main(["design", "mpc", "--model", "hammerstein.json"]) == 2
     assert "Hammerstein-Wiener" in capsys.readouterr().err
+
+
+def test_a_loop_behind_curves_keeps_what_its_law_compensates(records, model, law):
+    """What arrives is called f(u) there; the compensation went on to command u, and every check was refused."""
+    added = Compensation("u", "coulomb@shaft", [0.0], [1.0], Curve("u", [-1.0, 1.0], [-0.1, 0.1]))
+    loop = as_arriving(replace(law, compensations=(added,)), model, records, limits_of({"loop": {"stable": True}}))
+    assert [own.input for own in loop.law.compensations] == ["f(u)"]
+    assert loop.limits is not None
