@@ -1,12 +1,12 @@
-"""What a diagnosis has named, cancelled: curves over the motion of the set-points, and inverse curves of actuators.
+"""What a diagnosis has named, cancelled before the loop by curves over the motion of the set-points.
 
-    v+ = v + dRa m' + dRaa m'' + sum_k a_k h_k(s_k),     s_k = position m + motion m',     h: the effect's own law, against it
+    v + dKa m' + dKaa m'' + sum_k a_k h_k(s_k),     s_k = position m + motion m',     h: the effect's own law, against it
 
 It is before the loop and takes nothing of margins or stability: what depends on how fast something turns or slides is known as
 soon as the set-points are. How fast that is, s, is fitted to a run of the extended plant without effects. How much each command
-has to do, a, and what the rates fed forward are too much by, for the identified model took the effect for viscous friction, are
-fitted to runs of the extended plant with them (Gauss-Newton on what is left of m - y, from none): feedforward by basis
-functions.
+has to do, a, and what rates are fed forward too much, dKa and dKaa, for the identified model took the effect for viscous
+friction, are fitted to runs of the extended plant with them (Gauss-Newton on what is left of m - y, from none): feedforward by
+basis functions.
 
 Nothing is cancelled that is not worth it: machines drawn within the 95 % intervals of the diagnosis follow the same set-points
 with it and without, and none may be worse.
@@ -32,6 +32,7 @@ from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.falsify.box import ParameterBox, fitted_box_of
 from workbench.simulation import Scenario, simulate_batch
+from workbench.verification.trial import from_rest_to_rest
 
 DRAWN = 20  # machines that a compensation is tried on
 WORSE, WORTH = 1.02, 0.95  # times the error without it: of no drawn machine more, in the middle less
@@ -70,6 +71,11 @@ class Compensated:
     sentence: str
     before: np.ndarray = field("n", default=())
     after: np.ndarray = field("n", default=())
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """Errors of every machine with it by those without; infinite of one that leaves its range."""
+        return _ratio(self.before, self.after)
 
 
 def compensated(
@@ -249,6 +255,7 @@ class _Job:
         self.scenario = Scenario("job", dict(zip(law.references, held.T, strict=True)))
         jumped = [slot.effect.domain is Domain.TIME and slot.parameter.name == "time" for slot in plant.slots]
         long_ago = lambda own: np.where(jumped, [slot.parameter.low for slot in plant.slots], own)  # noqa: E731
+        self._aims: dict[tuple[float, ...], tuple[np.ndarray, np.ndarray]] = {}
         self.found = plant.nominal[None], long_ago(eta[None])
         p, drawn = box.vectors(np.random.default_rng(0).uniform(size=(DRAWN, box.n)))
         self.machines = np.vstack([self.found[0], p]), np.vstack([self.found[1], long_ago(drawn)])
@@ -261,9 +268,15 @@ class _Job:
     def errors(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> np.ndarray:
         """(m - y) / size, (R, N, nr)."""
         y = self.run(law, p, eta).measured[:, :: self.every, self.outputs]
-        begun, which = np.unique(y[:, 0], axis=0, return_inverse=True)  # where m begins
-        m = np.array([law.aimed(self.references, own)[0] for own in begun])
-        return ((m[which.ravel()] - y) / self.size)[:, HELD:]
+        m = np.array([self.aimed(law, own)[0] for own in y[:, 0]])
+        return ((m - y) / self.size)[:, HELD:]
+
+    def aimed(self, law: ScheduledPID, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """m and m' (N, nr) from a first measurement (nr,): the same for every law of the job, whatever it feeds forward."""
+        key = tuple(begun.tolist())
+        if key not in self._aims:
+            self._aims[key] = law.aimed(self.references, begun)
+        return self._aims[key]
 
     def drawn(self, law: ScheduledPID) -> np.ndarray:
         """Root mean square error (R,) of the machine found and of the drawn ones; infinite where one leaves its range."""
@@ -274,7 +287,7 @@ class _Job:
         found = self.run(law, *self.found)
         commands = np.nanstd(found.commands[0][:, [self.plant.input_names.index(name) for name in law.actuated]], axis=0)
         commands = np.where(commands > 0.0, commands, 1.0)
-        rate = law.aimed(self.references, found.measured[0, 0, self.outputs])[1]
+        rate = self.aimed(law, found.measured[0, 0, self.outputs])[1]
         fastest = np.abs(rate).max(axis=0), np.abs(np.diff(rate, axis=0)).max(axis=0) / law.dt
         each = [np.divide.outer(commands, np.where(own > 0.0, own, 1.0)[followed]).ravel() for own in fastest]
         return np.concatenate(each), commands
@@ -337,7 +350,7 @@ class _Job:
         run = self.run(law.uncompensated, self.found[0], np.where(rubbing, self.plant.neutral, self.found[1]))
         if not np.isfinite(run.measured).all():
             return None
-        m, rate = law.aimed(self.references, run.measured[0, 0, self.outputs])
+        m, rate = self.aimed(law, run.measured[0, 0, self.outputs])
         v, nr = run.states[0, :: self.every, state], m.shape[1]
         every = np.column_stack([m, rate, np.ones(len(m))])
         size = np.append(np.std(every[:, :-1], axis=0), max(1e-300, np.abs(v).max()))
@@ -390,8 +403,7 @@ def _moves(rest: np.ndarray, moved: Sequence[Moved], dt: float) -> np.ndarray:
             target[j] = middle + (-1) ** k * half * random.uniform(0.4, 1.0)
             rate = own.rate * random.uniform(SLOWEST, 1.0)
             n = int(np.clip(1.875 * abs(target[j] - at[j]) / (rate * dt), SHORTEST, LONGEST))  # of which 1.875 is the peak
-            share = np.linspace(0.0, 1.0, n)[:, None]
-            found += [at + (share**3 * (10.0 + share * (6.0 * share - 15.0))) * (target - at)]
+            found += [at + from_rest_to_rest(n) * (target - at)]
             found += [np.repeat(target[None], int(STANDS * n) + 1, axis=0)]
             at = target
     return np.concatenate(found)

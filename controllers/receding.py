@@ -111,9 +111,10 @@ class Receding:
     def common_dict(self) -> dict[str, Any]:
         """What the files of all such laws hold."""
         limits = {key: finite(getattr(self, key)) for key in LIMITS}
-        rest: dict[str, Any] = {"weights": vars(self.weights), "fallback": self.fallback.to_dict()}
-        fallback = self.fallback.to_dict().get("version", SHAPED_VERSION)
-        rest |= {"version": fallback} if fallback > SHAPED_VERSION else {}
+        fallback = self.fallback.to_dict()
+        rest: dict[str, Any] = {"weights": vars(self.weights), "fallback": fallback}
+        version = fallback.get("version", SHAPED_VERSION)
+        rest |= {"version": version} if version > SHAPED_VERSION else {}
         return {"name": self.name, "horizon": self.horizon, **limits, **rest}
 
     def _solved(self, program: Program) -> tuple[np.ndarray | None, Status]:

@@ -227,7 +227,8 @@ class ScheduledPID:
     @property
     def unshaped(self) -> "ScheduledPID":
         """The law from m to u: what is in the loop, and the same for every slew and reference model."""
-        return replace(self, slew=np.inf, bandwidth=np.inf, Ka=0.0, Kaa=0.0, compensations=())
+        free = {"slew": np.inf, "bandwidth": np.inf, "Ka": 0.0, "Kaa": 0.0, "compensations": ()}
+        return replace(self, **free) if self.shaped or self.compensations else self
 
     @property
     def uncompensated(self) -> "ScheduledPID":
@@ -254,13 +255,18 @@ class ScheduledPID:
 
     def aimed(self, references: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """m and m' (N, ny) of set-points (N, ny), from a start at measurements y (ny,)."""
-        K: Any = SimpleNamespace(slew=self.slew * self.dt, reference_model=self.reference_model, acceleration=self.acceleration)
-        state, m, rates = self._split(self.init()), np.array(references, dtype=float), np.zeros(np.shape(references))
+        K, state = self._before_the_loop, self._split(self.init())
+        m, rates = np.array(references, dtype=float), np.zeros(np.shape(references))
         for k, r in enumerate(references if self.shaped else ()):
             aim = self._aim(K, state, r, y)
             m[k], rates[k] = aim.m, aim.rate
             state = state._replace(s=aim.s, m=aim.m, rate=aim.rate, cold=0.0)
         return m, rates
+
+    @property
+    def _before_the_loop(self) -> Any:
+        """The numbers that `_aim` takes."""
+        return SimpleNamespace(slew=self.slew * self.dt, reference_model=self.reference_model, acceleration=self.acceleration)
 
     def arrival(self, step: np.ndarray) -> float:
         """Seconds in which m has come to its set-points after steps (ny,) of them: 96 % of the way."""
@@ -436,7 +442,7 @@ class ScheduledPID:
         begins = [unknown, 0.0 if u is None else unknown]
         return np.concatenate([np.zeros(nu + 2 * ny), last, begins, np.zeros(3 * ny * self.shaped)])
 
-    @property
+    @cached_property
     def _unknown(self) -> float:
         """Samples after which a path's rate and acceleration are known: three, and 1 of other laws."""
         return 3.0 if self.paths.any() else 1.0
@@ -479,13 +485,12 @@ class ScheduledPID:
         at = self._split(state)
         if not self.paths.any() or at.cold == self._unknown:
             return state
-        s, m, rate = (np.array(own, dtype=float) for own in (at.s, at.m, at.rate))
-        lost = self.paths & ~np.isfinite(r)
-        now = np.clip(np.where(lost, m + self.dt * rate, r), s - self.slew * self.dt, s + self.slew * self.dt)
-        rate = np.where(self.paths & ~lost, (now - m) / self.dt, rate)
-        s, m = (np.where(self.paths, now, own) for own in (s, m))
-        begins = [at.cold, self._unknown if lost.any() else at.takes_over]
-        return np.array([*at.z, *at.f, *at.d, *at.u, *begins, *s, *m, *rate], dtype=float)
+        known = np.isfinite(r)
+        on = np.where(known, r, np.add(at.m, np.multiply(self.dt, at.rate)))
+        aim = self._aim(self._before_the_loop, at, on, on)
+        kept = [np.where(self.paths, now, own) for now, own in ((aim.s, at.s), (aim.m, at.m), (aim.rate, at.rate))]
+        begins = [at.cold, self._unknown if (self.paths & ~known).any() else at.takes_over]
+        return np.concatenate([at.z, at.f, at.d, at.u, begins, *kept])
 
     def follow(self, state: np.ndarray, u: np.ndarray, r: np.ndarray, y: np.ndarray, rho: Any = None) -> np.ndarray:
         """Memory after a sample in which somebody else commanded u: a person, another controller, this one with other gains.

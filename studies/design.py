@@ -48,36 +48,32 @@ KINDS = ("scheduled-pid", "pid", "mpc", "nmpc")
 def design(options: Namespace, say: Say, progress: Say) -> int:
     """Design the law that was asked for and write its files."""
     kind = check_known("controller", options.kind, KINDS)
-    model = _model(options)
+    model, files = _model(options)
     if kind != "mpc" and options.tube:
         raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
     if kind in ("mpc", "nmpc") and options.diagnosis:
         raise InputError("--diagnosis is for PIDs", mend=f"design {kind} without it, or scheduled-pid with it")
     if kind in ("mpc", "nmpc"):
         return _design_planning(options, kind, model if isinstance(model, LPVModel) else load_model(options.model), say, progress)
-    return _design_pid(options, kind, model, say, progress)
+    return _design_pid(options, kind, model, files, say, progress)
 
 
-def _model(options: Namespace) -> Model:
-    """The model in a file, or that of a plant about its start."""
+def _model(options: Namespace) -> tuple[Model, Sequence[str]]:
+    """The model in a file, or that of a plant about its start, and the files that were read."""
     if is_plant(options.model):
         if options.dt is not None and not 0.0 < options.dt < np.inf:
             raise InputError(f"--dt {options.dt:g}", mend="the sample time of the law in s, above 0")
         if options.kind in ("mpc", "nmpc"):
             mend = "identify one from records, which say how its errors go on"
             raise InputError(f"{options.kind} on a plant's linear model", file=options.model, mend=mend)
-        return linearised(choose_plant(options.model).plant, options.dt)
+        chosen = choose_plant(options.model)
+        return linearised(chosen.plant, options.dt), chosen.files
     if options.dt:
         raise InputError("--dt is for a plant as --model", mend="leave it out: a model has its sample time")
-    return load_either(options.model)
+    return load_either(options.model), (options.model,)
 
 
-def _files(model: str) -> Sequence[str]:
-    """What was read of a model or plant."""
-    return choose_plant(model).files if is_plant(model) else (model,)
-
-
-def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress: Say) -> int:
+def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str], say: Say, progress: Say) -> int:
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
     chosen, model = _tried_on(options), core_of(whole)
     wanted = _wanted(options, kind, model)
@@ -129,7 +125,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, say: Say, progress:
         "trial": vars(trial), "compensations": [vars(own) for own in became],
     }  # fmt: skip
     read = [
-        *_files(options.model),
+        *files,
         *options.robust_to,
         *([options.diagnosis] if options.diagnosis else []),
         *(chosen.files if chosen else ()),
@@ -153,7 +149,7 @@ def _became(became: Sequence[Compensated]) -> Table:
     rows = tuple(
         (
             own.effect, "yes" if own.done else "no", *(100.0 * np.median(e) if len(e) else None for e in (own.before, own.after)),
-            float(np.max(own.after / own.before)) if len(own.after) else None,
+            float(own.ratio.max()) if len(own.after) else None,
         )
         for own in became
     )  # fmt: skip
@@ -215,7 +211,7 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     if path:
         say(f"controller -> {path}")
     files = [*([options.fallback] if options.fallback else []), *(chosen.files if chosen else ()), *options.records]
-    read = [*_files(options.model), *options.robust_to, *files]
+    read = [options.model, *options.robust_to, *files]
     result = {"kind": kind, "weights": vars(law.weights), "trial": vars(trial)} | tube
     return _finished(options, folder, path, result, read, say) or code
 

@@ -243,11 +243,10 @@ C_PASSED = Template("""\
             const double way = SLEW[j] * ${double}PERIOD;
             const double known = isfinite(r[j]) ? ${double}r[j] : s->m[j] + ${double}PERIOD * s->n[j];
             const double now = fmax(s->s[j] - way, fmin(s->s[j] + way, known));
-            if (isfinite(r[j]))
-                s->n[j] = (now - s->m[j]) / ${double}PERIOD;
-            else
-                s->takes_over = 3;
+            s->n[j] = (now - s->m[j]) / ${double}PERIOD;
             s->s[j] = s->m[j] = now;
+            if (!isfinite(r[j]))
+                s->takes_over = 3;
         }
 """)
 C_COUNTED = """\
@@ -299,11 +298,8 @@ $commanded
 def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
     """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
     number, f = (_float, "f") if single else (double_text, "")
-    narrow, accelerated, paths = (
-        "(real)" * single,
-        bool(law.Kaa.any()),
-        bool(law.paths.any()),
-    )  # of what is kept in double precision
+    narrow = "(real)" * single  # of what is kept in double precision
+    accelerated, paths = bool(law.Kaa.any()), bool(law.paths.any())
     first = "s->cold == 3" if paths else "s->cold"
     if single:
         _check_float(law)
@@ -331,7 +327,7 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         + f"            own += {gain('KAA[i][j]')} * {narrow}acceleration[j];\n" * accelerated,
         "shaping": C_SHAPING.substitute(
             double="(double)" * single, accelerate=(C_ACCELERATE + C_NOT_YET * paths) * accelerated, first=first,
-            begins="(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if law.paths.any() else "y[j]",
+            begins="(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if paths else "y[j]",
         ) * law.shaped,
         "first": first, "flag": "int" if paths else "bool", "begun": "3" if paths else "true",
         "counted": "; and samples until a path's acceleration is known" * paths,

@@ -299,9 +299,7 @@ ST_PASSED = """\
             ELSIF s[j] > before + SLEW[j] * PERIOD THEN
                 s[j] := before + SLEW[j] * PERIOD;
             END_IF;
-            IF set_point[j] - set_point[j] = 0.0 THEN
-                n[j] := (s[j] - before) / PERIOD;
-            END_IF;
+            n[j] := (s[j] - before) / PERIOD;
             m[j] := s[j];
         END_IF;
     END_FOR;
@@ -378,7 +376,7 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "Ka": f"        own := own + {named['Ka']} * n[j];\n" * law.shaped
         + f"        own := own + {named['Kaa']} * acceleration[j];\n" * accelerated,
         "shaping": Template(ST_SHAPING).substitute(
-            begins="measured[j] + AT_SETPOINT[j] * (set_point[j] - measured[j])" if law.paths.any() else "measured[j]",
+            begins="measured[j] + AT_SETPOINT[j] * (set_point[j] - measured[j])" if paths else "measured[j]",
             kept="    n_before := n[j];\n" * accelerated, accelerate=(ST_ACCELERATE + ST_NOT_YET * paths) * accelerated,
         ) * law.shaped,
         "compensating": compensating, "passed": ST_PASSED * paths, "counted": ST_COUNTED * paths,

@@ -9,12 +9,13 @@ stands still has a slope there that tells nothing of its motion: effects on a sh
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag
 
 from workbench.basis import CONSTANT
 from workbench.errors import InputError
 from workbench.lpv import LPVModel, OperatingPoint, constant_model
 from workbench.physics.effects.shaft import Shaft
+from workbench.physics.held import held
 from workbench.physics.plant import Plant
 
 STILL = 1e-9  # of the largest state: a speed at rest
@@ -72,13 +73,7 @@ def _lagged(A: np.ndarray, B: np.ndarray, C: np.ndarray, lags: list[float]) -> t
 
 def _sampled(A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float, delays: list[float]) -> tuple[np.ndarray, ...]:
     """The system under inputs that are held for dt and act L later: whole samples are states, a rest mixes two of them."""
-    n = len(A)
-
-    def held(time: float) -> tuple[np.ndarray, np.ndarray]:
-        both = expm(np.block([[A, B], [np.zeros((B.shape[1], n + B.shape[1]))]]) * time)
-        return both[:n, :n], both[:n, n:]
-
-    F, G = held(dt)
+    (F, G), n = held(A, B, dt), len(A)
     if not any(delays):
         return F, G, C, np.zeros((len(C), B.shape[1]))
     whole = [int(np.floor(L / dt * (1.0 + 1e-12))) for L in delays]
@@ -88,9 +83,8 @@ def _sampled(A: np.ndarray, B: np.ndarray, C: np.ndarray, dt: float, delays: lis
     big, act = np.zeros((size, size)), np.zeros((size, B.shape[1]))
     big[:n, :n] = F
     for i, (L, w, m, s) in enumerate(zip(delays, whole, memory, starts, strict=True)):
-        rest = L - w * dt
-        late, fresh = held(dt)[1][:, i] - held(dt - rest)[1][:, i], held(dt - rest)[1][:, i]  # the older command acts first
-        big[:n, s + w] += late
+        fresh = held(A, B[:, [i]], (w + 1) * dt - L)[1][:, 0]  # the older command acts first
+        big[:n, s + w] += G[:, i] - fresh
         if w:
             big[:n, s + w - 1] += fresh
         else:

@@ -170,12 +170,17 @@ def smooth(law: Any) -> list[str]:
     return [name for name, path in zip(law.measured, getattr(law, "paths", ()), strict=False) if path]
 
 
+def from_rest_to_rest(samples: int) -> np.ndarray:
+    """Shares (samples, 1) of a move that begins and ends at rest: 10 t^3 - 15 t^4 + 6 t^5."""
+    t = np.linspace(0.0, 1.0, samples)[:, None]
+    return t**3 * (10.0 + t * (6.0 * t - 15.0))
+
+
 def _path(rest: np.ndarray, step: np.ndarray, hold: int, smooth: Sequence[bool]) -> np.ndarray:
     """Set-points (N, ny): at rest, then each output in turn a step away and back, held for so many samples each time; of a smooth
     one over as many samples as it is held.
     """
-    share = np.linspace(0.0, 1.0, hold)[:, None]
-    share = share**3 * (10.0 + share * (6.0 * share - 15.0))  # from rest to rest
+    share = from_rest_to_rest(hold)
     found = [np.tile(rest, (hold, 1))]
     for j, way in enumerate(smooth):
         away = np.where(np.arange(len(rest)) == j, rest + step, rest)
