@@ -86,13 +86,15 @@ def compensated(
     plant: extended by the diagnosis. content: what is in its diagnosis.json; path: the file, for messages. Causes are taken in
     the order of what they cost. Raises InputError for content of another plant, or of no diagnosis.
 
-        >>> better, said = compensated(law, found.plant, found.to_dict())
-        >>> said[0].effect, said[0].done
-        ('coulomb@shaft', True)
+        >>> found = diagnose(MOTOR, data, held_out)
+        >>> smooth = ScheduledPIDDesign(knots=1, paths=("n",)).on(model)
+        >>> better, said = compensated(smooth, found.plant, found.to_dict())
+        >>> [own.effect for own in said if own.done]
+        ['feedforward', 'coulomb@shaft']
     """
     box, moved = ParameterBox(plant, fitted_box_of(plant, content, path)), _moved(content, path)
-    if content.get("plant", plant.name) != plant.name:
-        raise InputError(f"a diagnosis of {content['plant']}", file=path, mend=f"give that of {plant.name}, or another plant")
+    if (diagnosed := content.get("plant")) != plant.name:
+        raise InputError(f"a diagnosis of {diagnosed}", file=path, mend=f"give that of {plant.name}, or another plant")
     if foreign := [key for own in content["causes"] if (key := f"{own['effect']}@{own['at']}") not in plant.effects]:
         mend = "give the extended.json that was written beside it as --plant"
         raise InputError(f"names {foreign[0]}, which {plant.name} does not have", file=path, mend=mend)

@@ -106,7 +106,12 @@ class DiagnosisResult(PlantAnswer):
     def to_dict(self) -> dict[str, Any]:
         """The contract of a diagnosis, with what was tested, what looks alike, and the errors at each stage; a NaN is None."""
         errors = nullable([vars(e) for e in self.stages.errors])
-        return to_dict(self.diagnosis) | {"stages": errors, "moved": moved(self.plant, self.stages.extended)}
+        return {
+            "plant": self.nominal.name,
+            **to_dict(self.diagnosis),
+            "stages": errors,
+            "moved": moved(self.nominal.output_names, self.stages.extended),
+        }
 
     def to_frame(self) -> Any:
         """Causes as a pandas table: effect, place, number, value, low, high, unit, sure. Raises ImportError without pandas."""
@@ -149,13 +154,13 @@ class DiagnosisResult(PlantAnswer):
     __repr__ = Answer.said
 
 
-def moved(plant: Plant, runs: Sequence[Trajectory]) -> dict[str, dict[str, float]]:
+def moved(outputs: Sequence[str], runs: Sequence[Trajectory]) -> dict[str, dict[str, float]]:
     """Where each output was along records, low and high, and its rate per second, which 99 % of its moves do not exceed.
 
     Of the simulated output, which has no noise; where that left its range, of the predicted one.
     """
     found = {}
-    for j, name in enumerate(plant.output_names):
+    for j, name in enumerate(outputs):
         own = [(run.t, run.simulated[:, j] if np.isfinite(run.simulated[:, j]).all() else run.predicted[:, j]) for run in runs]
         y = np.concatenate([values for _, values in own])
         rates = np.concatenate([np.abs(np.diff(values) / np.diff(t)) for t, values in own])
