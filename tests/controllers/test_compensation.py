@@ -25,7 +25,8 @@ def within(value, share):
 def named(effect, place="slide", **numbers):
     """What a diagnosis.json holds of one cause, sizes known to 10 %, and of the axis."""
     cause = {"effect": effect, "at": place, "parameters": {key: within(value, 0.1) for key, value in numbers.items()}}
-    return {"causes": [cause], "recalibrated": {"M": within(95.0, 0.01), "Fv": within(200.0, 0.03)}, "moved": MOVED}
+    recalibrated = {"M": within(95.0, 0.01), "Fv": within(200.0, 0.03)}
+    return {"plant": AXIS.name, "causes": [cause], "recalibrated": recalibrated, "moved": MOVED}
 
 
 def of(said, key):
