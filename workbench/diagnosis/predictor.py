@@ -185,8 +185,7 @@ class Predictor:
     def corrected(self, i: int, point: Point) -> np.ndarray:
         """Full states (N, n) of record i after each sample's correction: states, angles, effects' own states, sensor memories."""
         r, gain = self.records[i], self._gain_of_all(i)[:, : self._width]
-        eta = _smooth(self.plant, point.eta[i])[None]
-        run = self._run(r, point.p[None], eta, point.start[i][None], self._steered(i, full=True))
+        run = self._run(r, point.p[None], point.eta[i][None], point.start[i][None], self._steered(i, full=True))
         assert run.full is not None
         return run.full[0] + np.einsum("kij,kj->ki", gain, np.nan_to_num(r.seen - run.measured[0]))
 
