@@ -9,7 +9,7 @@ from controllers.code.structured_text import st_code
 from controllers.mpc import MPC
 from controllers.receding import Receding
 from controllers.scheduled_pid import ScheduledPID
-from controllers.tables import curve_csv, gain_csv, gain_table, mpc_matrices
+from controllers.tables import gain_table, mpc_matrices, with_csv
 from workbench.errors import InputError, check_known
 from workbench.files import write_json, write_text
 from workbench.records import record
@@ -58,9 +58,7 @@ def export(
     assert isinstance(law, ScheduledPID)
     if form in ("csv", "json"):
         table = _with_differences("gains.json", gain_table(law))
-        curves = {"curves.csv": curve_csv(law)} if law.curves else {}
-        contents = table.contents if form == "json" else {"gains.csv": gain_csv(law)} | curves
-        return Export(contents, (*notes, *table.notes))
+        return Export(table.contents if form == "json" else with_csv(law), (*notes, *table.notes))
     name = identifier(law, name)
     if form == "st":
         return Export({f"{name}.st": st_code(law, name)}, notes)

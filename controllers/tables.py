@@ -5,7 +5,9 @@ a lattice, and it interpolates in each of them. Where that is not the law itself
 a law is written by `code`.
 """
 
+import csv
 from collections.abc import Callable, Sequence
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -74,6 +76,26 @@ def curve_csv(law: ScheduledPID) -> str:
     """Nodes of the curves of actuators, v over u, as CSV."""
     rows = [f"{c.input},{float(u)!r},{float(v)!r}" for c in law.curves for u, v in zip(c.u, c.v, strict=True)]
     return "\n".join(["command,u,v", *rows]) + "\n"
+
+
+def compensation_csv(law: ScheduledPID) -> str:
+    """Nodes of what is added to commands over s = position m + motion m', m the set-points or their models, as CSV."""
+    text = StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    weights = [f"{part}_{name}" for part in ("position", "motion") for name in law.measured]
+    rows.writerow(["command", "effect", *weights, "s", "added"])
+    for own in law.compensations:
+        at = [own.input, own.effect, *own.position.tolist(), *own.motion.tolist()]
+        rows.writerows([*at, float(s), float(added)] for s, added in zip(own.curve.u, own.curve.v, strict=True))
+    return text.getvalue()
+
+
+def with_csv(law: ScheduledPID) -> dict[str, str]:
+    """File name -> CSV: the gain table, and the nodes of curves and compensations of a law that has some."""
+    found = {"gains.csv": gain_csv(law)}
+    if law.curves:
+        found["curves.csv"] = curve_csv(law)
+    return found | ({"compensations.csv": compensation_csv(law)} if law.compensations else {})
 
 
 def gain_table(law: ScheduledPID) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.compensation import Compensated, compensated, moved_by
+from controllers.compensation import ALONG, Compensated, compensated, moved_by
 from controllers.designs import ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, default_weights, design_mpc
@@ -16,7 +16,7 @@ from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pictures import POINTS, design_pictures
 from controllers.pid_design import PIDDesign
 from controllers.scheduled_pid import ScheduledPID
-from controllers.tables import curve_csv, gain_csv
+from controllers.tables import with_csv
 from controllers.tube import taken
 from studies.arguments import Chosen, choose_plant, is_plant, names, numbers, parse_numbers, run_folder
 from studies.cli import DONE
@@ -89,9 +89,8 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
     folder = run_folder(options.out, "design")
     path = save_controller(found.law, folder / f"{kind}.json") if code == DONE else None
     if path:
-        write_text(folder / "gains.csv", gain_csv(found.law))
-        if found.law.curves:
-            write_text(folder / "curves.csv", curve_csv(found.law))
+        for name, text in with_csv(found.law).items():
+            write_text(folder / name, text)
     over, inner = found.margins, found.law.inside
     if kind == "pid" and model.schedules:
         over = worst_margins(inner, models, model.frozen_values(POINTS), bounds, found.scale)
@@ -108,7 +107,8 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
     _say_held(found.law, model, _setpoint(options.setpoint, model), say)
     if path:
         say(f"controller -> {path}")
-        say(f"gain table -> {folder / 'gains.csv'}{', curves -> curves.csv' if found.law.curves else ''}")
+        others = "".join(f", {Path(name).stem} -> {name}" for name in list(with_csv(found.law))[1:])
+        say(f"gain table -> {folder / 'gains.csv'}{others}")
     say(f"margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: inner}, models, bounds, found.scale)
     sections, curves = [Section("Design", pictures)], _curve_pictures(whole)
@@ -146,16 +146,16 @@ def _tried_on(options: Namespace) -> Chosen | None:
 
 def _became(became: Sequence[Compensated]) -> Table:
     """What became of every cause, and errors of the machines drawn within its intervals."""
-    rows = tuple(
-        (
-            own.effect, "yes" if own.done else "no", *(100.0 * np.median(e) if len(e) else None for e in (own.before, own.after)),
-            float(own.ratio.max()) if len(own.after) else None,
-        )
-        for own in became
-    )  # fmt: skip
-    header = ("cause", "cancelled", "error without [%]", "error with [%]", "largest ratio of a machine")
+    rows = []
+    for own in became:
+        done = "yes" if own.done else "no"
+        if not own.after.size:
+            rows.append((own.effect, done, "", None, None, None))
+        for before, after, ratio, along in zip(own.before.T, own.after.T, own.ratio.T, ALONG, strict=False):
+            rows.append((own.effect, done, along, *(100.0 * float(np.median(e)) for e in (before, after)), float(ratio.max())))
+    header = ("cause", "cancelled", "along", "error without [%]", "error with [%]", "largest ratio of a machine")
     caption = "Root mean square error of set-points that are followed, of the outputs' ranges, in the middle of the machines."
-    return Table("Cancelled by feedforward", header, rows, caption, digits=3)
+    return Table("Cancelled by feedforward", header, tuple(rows), caption, digits=3)
 
 
 def _told(options: Namespace, trial: Trial, model: LPVModel, say: Say) -> int:
@@ -254,7 +254,10 @@ def _plant_of(options: Namespace, kind: str) -> Chosen | None:
 
 def _finished(options: Namespace, folder: Path, path: Path | None, result: dict, files: list[str], say: Say) -> int:
     if path:
-        say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
+        if options.path:
+            say(f"next: in Python, wb.simulate(plant, load_controller({str(path)!r}), wb.Scenario(..)) along your path")
+        else:
+            say(f"next: workbench simulate {options.model} --controller {path} --setpoint Y=V,..")
         on = f"--plant {options.model}" if is_plant(options.model) else f"--model {options.model} --records .."
         say(f"      workbench check --controller {path} --limits limits.toml {on}")
     configuration = {key: value for key, value in vars(options).items() if key != "json"}

@@ -1,6 +1,8 @@
 """What a diagnosis named, cancelled by feedforward: tried on a simulation written out here, on axes drawn at random."""
 
 from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ from controllers import ScheduledPIDDesign, compensated, load_controller, save_c
 from controllers.scheduled_pid import Compensation
 from plants import POSITIONING_AXIS
 from tests.controllers.test_designs import swinging
+from tests.strangers.belt import PLANT as BELT
+from tests.strangers.belt import outputs, rates
 from workbench.curves import Curve
 from workbench.errors import InputError
 from workbench.physics.linearised import linearised
@@ -199,3 +203,55 @@ def test_its_file_holds_it(fed, tmp_path):
         np.testing.assert_array_equal(u, v)
     assert fed.uncompensated.compensations == ()
     assert fed.unshaped.compensations == ()
+
+
+def belt_error(law, r, level, width, steps=10):
+    """Root mean square of m - y, by set-point, on two drives and a belt with dry friction in both, by the midpoint rule."""
+    p = SimpleNamespace(**{q.name: q.value for q in BELT.parameters}, rubber=0.0, mixer=0.0)
+    x, said, h = np.zeros(3), [], law.dt / steps
+
+    def slope(x, u):
+        rubbing = SimpleNamespace(first=-level * np.tanh(x[0] / width), second=-level * np.tanh(x[1] / width))
+        return np.array(rates(x, u, p, rubbing))
+
+    state = law.init(np.zeros(2))
+    for now in r:
+        n1, _, B = outputs(x, p)
+        said.append([n1, B])
+        u, state = law.step(state, now, np.array(said[-1]))
+        for _ in range(steps):
+            x = x + h * slope(x + 0.5 * h * slope(x, u), u)
+    return np.sqrt(np.mean((law.aimed(r, np.zeros(2))[0] - said) ** 2, axis=0))
+
+
+@pytest.mark.slow
+def test_friction_in_both_of_two_drives_on_a_belt_is_cancelled():
+    """What one curve over one speed cancels is not asked of a second one; two inputs, two set-points, a simulation apart."""
+    level, width = 0.05, 0.4
+    drives = replace(
+        BELT,
+        outputs=(BELT.outputs[0], BELT.outputs[2]),
+        measure=lambda x, p: {name: y for name, y in BELT.measure(x, p).items() if name != "n2"},
+        noise={"n1": 0.5, "B": 0.2},
+        effects={f"coulomb@{place}": {"level": level, "width": width} for place in ("first", "second")},
+    )
+    law = ScheduledPIDDesign(low={"i1": -10.0, "i2": -10.0}, high={"i1": 10.0, "i2": 10.0}).on(linearised(drives, 0.01))
+    causes = [named("coulomb", place, level=level, width=width)["causes"][0] for place in ("first", "second")]
+    moved = {"n1": {"low": -300.0, "high": 300.0, "rate": 600.0}, "B": {"low": -10.0, "high": 10.0, "rate": 40.0}}
+    better, said = compensated(law, drives, {"plant": "belt", "causes": causes, "recalibrated": {}, "moved": moved})
+    assert of(said, "coulomb@first").done
+    assert {own.input for own in better.compensations} == {"i1", "i2"}
+    factors = {"steps": [], "moves": []}
+    for seed in range(6):
+        random = np.random.default_rng([11, seed])
+        true = level * (1.0 + 0.1 * random.uniform(-1.0, 1.0))
+        stops = random.uniform(-1.0, 1.0, (9, 2)) * [250.0, 8.0]
+        stops[0] = 0.0
+        share = np.minimum(np.linspace(0.0, 1.2, 200), 1.0)[:, None]
+        steps = np.repeat(stops, 200, axis=0)
+        moves = np.concatenate([a + (b - a) * share**3 * (10.0 - 15.0 * share + 6.0 * share**2) for a, b in pairwise(stops)])
+        for along, r in (("steps", steps), ("moves", moves)):
+            factors[along].append(belt_error(law, r, true, width) / belt_error(better, r, true, width))
+    assert np.median(factors["moves"], axis=0).min() > 2.0
+    assert np.median(factors["steps"], axis=0).min() > 1.0
+    assert np.min(list(factors.values())) > 0.98

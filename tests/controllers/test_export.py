@@ -1,5 +1,6 @@
 """Exported controllers against the law: C by a compiler, Structured Text by a strict reader, tables as they are read."""
 
+import csv
 import json
 import re
 from dataclasses import replace
@@ -16,7 +17,7 @@ from controllers.code.text import WIDTH
 from controllers.mpc import design_mpc
 from controllers.pid import pid
 from controllers.scheduled_pid import BackCalculation, Clamping, Compensation, ScheduledPID
-from controllers.tables import gain_csv, gain_table, mpc_matrices
+from controllers.tables import gain_csv, gain_table, mpc_matrices, with_csv
 from plants import WEB_WINDING
 from studies.experiments import plan
 from tests.controllers.compiled import CompiledLaw
@@ -461,6 +462,22 @@ def test_the_reader_of_structured_text_is_strict(right, wrong):
 
 
 # ---- tables ----------------------------------------------------------------------------------------------------------------
+
+
+def test_the_nodes_of_every_compensation_are_a_table_of_their_own(tmp_path):
+    law = drawn(31, 2, 3, compensations=ADDED)
+    assert {path.name for path in law.export("csv", tmp_path)} == {"gains.csv", "compensations.csv"}
+    with open(tmp_path / "compensations.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    at = 0
+    for own in law.compensations:
+        for s, added in zip(own.curve.u, own.curve.v, strict=True):
+            row, at = rows[at], at + 1
+            weights = [[float(row[f"{part}_{name}"]) for name in law.measured] for part in ("position", "motion")]
+            assert (row["command"], row["effect"], float(row["s"]), float(row["added"])) == (own.input, own.effect, s, added)
+            np.testing.assert_array_equal(weights, [own.position, own.motion])
+    assert at == len(rows)
+    assert "compensations.csv" not in with_csv(law.uncompensated)
 
 
 @pytest.mark.parametrize("key", [key for key, law in LAWS.items() if law.schedule])

@@ -2,8 +2,9 @@
 
     dx' = A dx + B du(t - L),    dy = C dx,    T dz' = dy - dz      A, B, C: Jacobians of the plant's equation at its equilibrium
 
-sampled exactly under held inputs. L: input delays; T: lags of sensors; both as effects of the plant have them. Friction of what
-stands still has a slope there that tells nothing of its motion: effects on a shaft at rest are left out.
+sampled exactly under held inputs. L: input delays; T: lags of sensors; both as effects of the plant have them, and C holds the
+slopes of what bends or scales a reading. What has no slope of use at one point is left out: friction of what stands still, dead
+zones, play and rounding.
 """
 
 from dataclasses import replace
@@ -20,6 +21,8 @@ from workbench.physics.plant import Plant
 
 STILL = 1e-9  # of the largest state: a speed at rest
 RESONANT = "sensor-resonance"  # an effect with dynamics that this model does not have
+STEEP = ("dead-zone", "saturation", "gear-backlash", "backlash", "quantisation")
+READ = 1e-3  # of a reading, or of its unit near 0: differences on both sides, exact for the parabolas that readings are
 
 
 def linearised(plant: Plant, dt: float | None = None) -> LPVModel:
@@ -41,10 +44,11 @@ def linearised(plant: Plant, dt: float | None = None) -> LPVModel:
     A, B, C, _ = moving.linearize(x, u)
     time = lambda effect, names: [plant.effects.get(f"{effect}@{name}", {}).get("time", 0.0) for name in names]  # noqa: E731
     delays, lags = time("input-delay", plant.input_names), time("sensor-lag", plant.output_names)
-    matrices = _sampled(*_lagged(A, B, C, lags), dt, delays)
+    commands, y, slopes = _as_logged(plant, x, u)
+    matrices = _sampled(*_lagged(A, B, slopes[:, None] * C, lags), dt, delays)
     noise = np.diag([plant.noise.get(name, 0.0) ** 2 for name in plant.output_names])
     channels = tuple(replace(c, role="input") for c in plant.inputs), tuple(replace(c, role="output") for c in plant.outputs)
-    at = OperatingPoint(CONSTANT, u[None], np.array(moving.output(x), dtype=float)[None])
+    at = OperatingPoint(CONSTANT, commands[None], y[None])
     return constant_model(plant.name, dt, channels, matrices, at, noise=noise)
 
 
@@ -59,6 +63,19 @@ def _check(plant: Plant) -> None:
     if key := next((key for key in plant.effects if key.startswith(f"{RESONANT}@")), ""):
         mend = "identify a model from records: workbench identify"
         raise InputError(f"{key} is not in the linear model of a plant", file=plant.name, mend=mend)
+
+
+def _as_logged(plant: Plant, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Commands (nu) that let u act, what the sensors read (ny) at x, and the slopes of these readings (ny)."""
+    eta = np.where([slot.effect.id in STEEP for slot in plant.slots], 0.0, plant.effect_vector())
+
+    def read(z: np.ndarray) -> np.ndarray:
+        return np.array(plant.read(plant.settle(list(z), eta), np.zeros(len(z)), eta), dtype=float)
+
+    z = np.array(plant.output(x), dtype=float)
+    step = READ * np.maximum(np.abs(z), 1.0)
+    offset = np.array(plant.drive(list(u), eta, 0.0), dtype=float) - u
+    return u - offset, read(z), (read(z + step) - read(z - step)) / (2.0 * step)
 
 
 def _lagged(A: np.ndarray, B: np.ndarray, C: np.ndarray, lags: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,8 @@ AXIS = POSITIONING_AXIS.sampled(0.004)
 
 def answers(plant: Plant, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (N, ny) of the plant and of its linear model, less those at rest, under the same small steps of every input."""
-    model, u0 = linearised(plant), plant.equilibrium()[1]
+    model = linearised(plant)
+    u0 = model.operating_point.u[0]
     random, N = np.random.default_rng(3), 300
     u = size * np.repeat(random.normal(size=(N // 20, len(u0))), 20, axis=0)
     channels = tuple(Channel(c.name, c.unit, "input") for c in plant.inputs)
@@ -40,6 +41,9 @@ def answers(plant: Plant, size: float) -> tuple[np.ndarray, np.ndarray]:
         {"input-delay@F": {"time": 0.008}},
         {"input-delay@F": {"time": 0.0135}, "sensor-lag@q": {"time": 0.011}},
         {"sensor-lag@q": {"time": 0.03}, "quadratic-friction@slide": {"coefficient": 1e-3}},
+        {"sensor-gain@q": {"error": 0.4}, "sensor-lag@q": {"time": 0.03}, "sensor-bias@q": {"level": 0.2}},
+        {"sensor-nonlinearity@q": {"curvature": 0.01, "centre": 20.0}, "sensor-gain@q": {"error": -0.2}},
+        {"offset@F": {"level": 5.0}},
     ],
 )
 def test_small_motions_are_those_of_the_plant(effects):
