@@ -304,11 +304,11 @@ def _trajectory(plant: Plant, one: Dataset) -> Trajectory:
 
 
 def _until_lost(y: np.ndarray, error: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """What was predicted of y (N, ny), NaN from where it has left its range, or is further from y than far (ny)."""
+    """What was predicted of y (N, ny), NaN from where one output has left its range, or is further from y than far (ny)."""
     run = y - error
     near = (np.abs(run) < RUNAWAY * (1.0 + np.abs(y))) & (np.abs(error) <= far)
-    lasts = np.logical_and.accumulate(near | ~np.isfinite(y), axis=0)
-    return np.where(lasts, run, np.nan)
+    lasts = np.logical_and.accumulate((near | ~np.isfinite(y)).all(axis=1))
+    return np.where(lasts[:, None], run, np.nan)
 
 
 def gains(plant: Plant, before: Sequence[Trajectory], after: Sequence[Trajectory]) -> tuple[Gain, ...]:

@@ -234,12 +234,24 @@ def _held(made: Predictor, squares: Sequence[Mapping[str, np.ndarray]], deviance
 
 def gained(before: Held, after: Held) -> tuple[Gain, ...]:
     """Errors of two models beside each other; NaN where neither follows the record, and where one is GONE from it."""
-    found = []
-    for b, a, far in zip(before.scores, after.scores, before.far, strict=True):
-        most = far if min(b.error, a.error) > far else GONE / FAR * far
-        old, new = (s.error if s.error <= most else np.nan for s in (b, a))
+    found, lost = [], followed_by_neither(before, after)
+    for k, (b, a, far) in enumerate(zip(before.scores, after.scores, before.far, strict=True)):
+        old, new = (s.error if s.error <= GONE / FAR * far and k not in lost else np.nan for s in (b, a))
         found.append(Gain(b.channel, b.horizon, old, new, b.unit, b.record))
     return tuple(found)
+
+
+def followed_by_neither(before: Held, after: Held) -> set[int]:
+    """The scores of runs in which neither of two models follows its record: one output tells it for all of them.
+
+    A cart may stay near its record while its pendulum has long fallen down.
+    """
+    lost = set()
+    for s, b, a, far in zip(before.scores, before.squares, after.squares, before.far, strict=False):
+        told = ~np.isnan(b) & ~np.isnan(a)
+        if told.any() and min(float(np.mean(b[told])), float(np.mean(a[told]))) > far**2:
+            lost.add((s.record, s.horizon))
+    return {k for k, s in enumerate(before.scores) if (s.record, s.horizon) in lost}
 
 
 def ahead(before: Model, after: Model) -> float:

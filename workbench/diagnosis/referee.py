@@ -14,7 +14,7 @@ import numpy as np
 from workbench.data import Dataset
 from workbench.diagnosis.answer import Gain
 from workbench.diagnosis.free_run import simulated
-from workbench.diagnosis.gains import FULL_RUN, ONE_STEP, Held, errors_left_out, errors_on, gained
+from workbench.diagnosis.gains import FULL_RUN, ONE_STEP, Held, errors_left_out, errors_on, followed_by_neither, gained
 from workbench.diagnosis.growth import fold, reach, unstable
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import recalibrated, unknowns
@@ -69,12 +69,13 @@ class Change:
 
 def changes(before: Held, after: Held) -> tuple[Change, ...]:
     """A change for every channel and horizon."""
-    found = []
+    found, astray = [], followed_by_neither(before, after)
     keys = dict.fromkeys((s.horizon, s.channel, s.unit) for s in before.scores)
     for horizon, channel, unit in sorted(keys, key=lambda key: (key[0] != ONE_STEP) + (key[0] == FULL_RUN)):
         own = [k for k, s in enumerate(before.scores) if (s.horizon, s.channel) == (horizon, channel)]
         far = float(np.sqrt(np.mean([before.far[k] ** 2 for k in own]))) if before.far else np.inf
-        pairs = [(before.squares[k], after.squares[k]) for k in own]
+        nothing = np.full(1, np.inf)
+        pairs = [(before.squares[k], after.squares[k]) for k in own if k not in astray] or [(nothing, nothing)]
         told = [~np.isnan(b) & ~np.isnan(a) for b, a in pairs]
         pairs = [(b[t], a[t]) for (b, a), t in zip(pairs, told, strict=True) if t.any()]
         if not pairs:

@@ -106,6 +106,28 @@ def test_a_run_that_follows_is_better_than_one_that_does_not():
     assert worse((both_follow,))
 
 
+def cart(records: dict[str, tuple[float, float]]) -> Held:
+    """Full-run errors of the angle (spread 1 deg) and the place (spread 1 m) of a cart with a pendulum, by record."""
+    random, scores, squares = np.random.default_rng(0), [], []
+    for name, sizes in records.items():
+        for channel, unit, size in zip(("a", "x"), ("deg", "m"), sizes, strict=True):
+            scores.append(Score(name, "full-run", channel, unit, size))
+            squares.append((size * random.choice([-1.0, 1.0], 2000)) ** 2)
+    return Held(tuple(scores), 0.0, tuple(squares), 0.005, (3.0,) * len(scores))
+
+
+def test_where_the_pendulum_falls_in_both_runs_the_cart_says_nothing():
+    fallen = {"r": (200.0, 0.5)}, {"r": (180.0, 0.9)}
+    assert not any(change.known for change in changes(*map(cart, fallen)))
+    assert not worse(changes(*map(cart, fallen)))
+    assert all(np.isnan([told.before, told.after]).all() for told in gained(*map(cart, fallen)))
+    upright = {"s": (0.5, 0.9)}, {"s": (0.4, 0.5)}  # in another record both stay up: it alone counts
+    _, x = changes(*(cart(one | other) for one, other in zip(fallen, upright, strict=True)))
+    assert x.share == pytest.approx(1.0 - 0.5 / 0.9)
+    one_falls = {"r": (0.5, 0.5)}, {"r": (180.0, 0.9)}
+    assert {change.channel for change in worse(changes(*map(cart, one_falls)))} == {"a", "x"}
+
+
 @pytest.fixture(scope="module")
 def ball() -> Model:
     return _recalibrated(GUARDED, Dataset((record(1, 3000),)), True, 1)
