@@ -66,7 +66,8 @@ class Channel:
 class Experiment:
     """One record: values[k, c] is channel c at time t[k] [s]; dt [s] is the sample time, by default the typical step.
 
-    file: the path that it was read from, "" where it comes from no file.
+    file: the path that it was read from, "" where it comes from no file. notes: how the file was understood where it could not be
+    read as it is, in sentences.
 
         >>> a = data.experiments[0]
         >>> a.names, a["n"].shape
@@ -79,6 +80,7 @@ class Experiment:
     values: np.ndarray = field("N nc")
     dt: float = field("", unit="s", low=1e-12, default=math.inf)
     file: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self):
         if math.isinf(self.dt):
@@ -309,6 +311,11 @@ class Dataset:
 
     def __iter__(self) -> Iterator[Experiment]:
         return iter(self.experiments)
+
+    @property
+    def notes(self) -> list[str]:
+        """How files were understood that could not be read as they are."""
+        return [f"{e.name}: {note}" for e in self for note in e.notes]
 
     def __len__(self) -> int:
         return len(self.experiments)

@@ -23,6 +23,7 @@ import numpy as np
 from workbench.data import BadStamp, Channel, Experiment, Role, bad_stamps
 from workbench.errors import InputError
 from workbench.files import write_text
+from workbench.logs import plain
 from workbench.records import record
 from workbench.units import UNITS
 
@@ -164,9 +165,28 @@ class _Header:
     time: int
 
 
+@record
+class _Source:
+    """A file, and its text where that was written anew."""
+
+    path: Path
+    text: str | None = None
+
+
 def _read_csv(path: Path) -> Experiment:
-    header = _header(path)
-    table = _table(path, header)
+    """A table as it is; where it does not keep the contract, as it is understood, which the record's notes say."""
+    try:
+        return _read_text(_Source(path))
+    except InputError:
+        found = plain(path)
+        if found is None:
+            raise
+    return replace(_read_text(_Source(path, found.text)), notes=found.notes)
+
+
+def _read_text(source: _Source) -> Experiment:
+    path, header = source.path, _header(source)
+    table = _table(source, header)
     if len(table) < SHORTEST:
         raise InputError(
             f"{len(table)} samples are no record, expected at least {SHORTEST}",
@@ -175,7 +195,7 @@ def _read_csv(path: Path) -> Experiment:
             mend="is the file whole?",
         )
     t = table[:, header.time]
-    dt = _sample_time(path, header.names[header.time], t, lambda row: _line_of_row(path, header, row))
+    dt = _sample_time(path, header.names[header.time], t, lambda row: _line_of_row(source, header, row))
     kept = [k for k in range(len(header.names)) if k != header.time]
     channels = tuple(Channel(header.names[k], header.units[k], role_of(header.names[k])) for k in kept)
     return Experiment(path.stem, t, channels, table[:, kept], dt)
@@ -189,8 +209,8 @@ def role_of(name: str) -> Role:
     return "other"
 
 
-def _header(path: Path) -> _Header:
-    line, text = _first_line(path)
+def _header(source: _Source) -> _Header:
+    path, (line, text) = source.path, _first_line(source)
     delimiter = next((d for d in (";", "\t") if d in text), ",")
     cells = [cell.strip().strip('"').strip() for cell in text.split(delimiter)]
     if all(_number(word) is not None for cell in cells for word in cell.split()):
@@ -248,24 +268,29 @@ def _time_column(path: Path, line: int, names: Sequence[str], units: Sequence[st
     return k
 
 
-def _first_line(path: Path) -> tuple[int, str]:
+def _first_line(source: _Source) -> tuple[int, str]:
     """Number and text of the first line that is not blank."""
-    with open(path, "rb") as stream:
-        start = stream.read(65536)
+    path, start = source.path, b""
+    if source.text is None:
+        with open(path, "rb") as stream:
+            start = stream.read(65536)
     if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise InputError("text is UTF-16, expected UTF-8", file=path, line=1, mend="save the file as CSV UTF-8")
     if b"\0" in start:
         mend = "expected text; export the sheet as CSV" if start.startswith(b"PK") else "expected text as in CSV"
         raise InputError("is a binary file", file=path, mend=mend)
-    for line, text in _lines(path):
+    for line, text in _lines(source):
         if text.strip():
             return line, text
     raise InputError("is empty", file=path, line=1, mend="expected a header and one row for each sample")
 
 
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
+def _lines(source: _Source) -> Iterator[tuple[int, str]]:
     """Numbered lines without their ends; bytes that are not UTF-8 are refused with their line."""
-    line = 0
+    path, line = source.path, 0
+    if source.text is not None:
+        yield from enumerate(source.text.split("\n"), 1)
+        return
     with open(path, encoding="utf-8-sig", errors="surrogateescape") as stream:
         for line, text in enumerate(stream, 1):
             bad = next((c for c in text if "\ud800" <= c <= "\udfff"), "") if not text.isascii() else ""
@@ -276,28 +301,27 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield line, text.rstrip("\r\n")
 
 
-def _table(path: Path, header: _Header) -> np.ndarray:
+def _table(source: _Source, header: _Header) -> np.ndarray:
     """All rows as numbers (N, cells): C-fast, and line by line only to say what is wrong."""
     wanted = len(header.names)
     # an absolute path: numpy opens what looks like an address, and reads a path in large blocks
-    table = _numbers(str(path.resolve()), header)
-    if table is None and header.delimiter == ";":
-        with open(path, encoding="utf-8-sig", errors="replace") as stream:
-            table = _numbers((line.translate(_POINTS) for line in stream), header)
+    table = _numbers(str(source.path.resolve()) if source.text is None else source.text.split("\n"), header)
+    if table is None and header.delimiter in _MAY_HAVE_COMMAS:
+        table = _numbers((text.translate(_POINTS) for _, text in _lines(source)), header)
         if table is not None:
-            _check_thousands(path, header)
+            _check_thousands(source, header)
     if table is not None and not table.size:
         return np.empty((0, wanted))
     if table is None or table.shape[1] != wanted or not np.isfinite(table).all():
-        table = np.array(list(_rows(path, header)))
+        table = np.array(list(_rows(source, header)))
     return table
 
 
-def _check_thousands(path: Path, header: _Header) -> None:
-    """Refuse a column whose commas may all be marks of thousands: 999 and 1,234 in one column."""
+def _check_thousands(source: _Source, header: _Header) -> None:
+    """Refuse a column whose commas may all be marks of thousands: 999 and 1,234 in one column, or no other comma in the file."""
     marks: dict[int, tuple[int, str]] = {}  # by column the first cell with a comma
     decimal, plain = set(), set()
-    for line, text in _lines(path):
+    for line, text in _lines(source):
         if line > header.line:
             for j, cell in enumerate(text.split(header.delimiter)):
                 if "," not in cell:
@@ -307,16 +331,18 @@ def _check_thousands(path: Path, header: _Header) -> None:
                 else:
                     decimal.add(j)
     for j, (line, cell) in marks.items():
-        if j in plain and j not in decimal:
+        if not decimal or (j in plain and j not in decimal):
             mend = f"write {cell.replace(',', '.')} if it is decimal, {cell.replace(',', '')} if not"
-            said = f"{cell!r} beside numbers without a comma: is it a decimal comma, or a mark of thousands?"
-            raise InputError(said, file=path, line=line, channel=header.names[j], mend=mend)
+            beside = " beside numbers without a comma" * (j in plain)
+            said = f"{cell!r}{beside}: is it a decimal comma, or a mark of thousands?"
+            raise InputError(said, file=source.path, line=line, channel=header.names[j], mend=mend)
 
 
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 
 #: Decimal commas to points; a point beside them, of thousands, makes no number.
 _POINTS = str.maketrans({",": ".", ".": "_"})
+_MAY_HAVE_COMMAS = (";", "\t")  # delimiters between which a comma is a decimal one
 
 
 def _numbers(source: str | Iterable[str], header: _Header) -> np.ndarray | None:
@@ -331,11 +357,12 @@ def _numbers(source: str | Iterable[str], header: _Header) -> np.ndarray | None:
         return None
 
 
-def _rows(path: Path, header: _Header) -> Iterator[list[float]]:
+def _rows(source: _Source, header: _Header) -> Iterator[list[float]]:
     """The numbers of each row; the first row that breaks the contract is refused."""
-    commas = header.delimiter == ";" and any("," in text for line, text in _lines(path) if line > header.line)
-    for line, text in _lines(path):
-        if line > header.line and text.strip():
+    path, below = source.path, [own for own in _lines(source) if own[0] > header.line]
+    commas = header.delimiter in _MAY_HAVE_COMMAS and any("," in text for _, text in below)
+    for line, text in below:
+        if text.strip():
             cells = text.split(header.delimiter)
             if len(cells) != len(header.names):
                 raise _wrong_count(path, header, line, cells)
@@ -386,8 +413,8 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _line_of_row(path: Path, header: _Header, row: int) -> int:
-    numbered = (line for line, text in _lines(path) if line > header.line and text.strip())
+def _line_of_row(source: _Source, header: _Header, row: int) -> int:
+    numbered = (line for line, text in _lines(source) if line > header.line and text.strip())
     return next(line for k, line in enumerate(numbered) if k == row)
 
 

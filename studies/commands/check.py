@@ -29,9 +29,12 @@ def run(options: Namespace) -> int:
         raise InputError("--fitted is for a search on the plant", mend="give --plant as well")
     chosen = choose_plant(options.plant) if options.plant else None
     controller = choose_controller(options.controller, chosen.base if chosen else "")
+    records = Dataset(tuple(read_file(path) for path in options.records)) if options.records else None
+    for note in records.notes if records else ():
+        say(f"note: {note}")
     found = check(
         controller.law, limits, model=load_either(options.model) if options.model else None,
-        records=Dataset(tuple(read_file(path) for path in options.records)) if options.records else None,
+        records=records,
         plant=chosen.plant if chosen else None, fitted=options.fitted, lags=options.lags,
         bound=numbers(options.bound, "--bound"), nodes=options.nodes, rate=options.rate, runs=options.runs, seed=options.seed,
         progress=progress,

@@ -43,6 +43,8 @@ def run(options: Namespace) -> int:
             outputs=[c.name for c in outputs],
             schedule=[c.name for c in schedules],
         )
+        for note in () if shown else dataset.notes:
+            say(f"note: {note}")
         shown = shown or dataset
         known = (*model.inputs, *outputs, *schedules)
         for experiment in dataset:

@@ -199,11 +199,13 @@ def test_a_truncated_last_line_is_named(tmp_path):
     assert "cut off" in error.mend
 
 
-def test_decimal_commas_between_tabs_are_named(tmp_path):
-    """There 1,234 may be a thousand."""
-    error = refusal(put(tmp_path, "t\ty\n0,0\t1,5\n0,1\t1,6\n0,2\t1,7\n"))
-    assert (error.line, error.channel) == (2, "t")
-    assert "decimal comma in '0,0'" in error.problem
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_commas_are_read_and_what_may_be_thousands_is_asked(tmp_path, delimiter):
+    found = read_file(put(tmp_path, "t\ty\n0,0\t1,5\n0,1\t1,6\n0,2\t1,723\n".replace("\t", delimiter)))
+    np.testing.assert_array_equal(found["y"], [1.5, 1.6, 1.723])
+    error = refusal(put(tmp_path, "t\ty\n0\t1,500\n1\t1,600\n2\t1,723\n".replace("\t", delimiter)))
+    assert (error.line, error.channel) == (2, "y")
+    assert "a decimal comma, or a mark of thousands?" in error.problem
 
 
 def test_a_point_among_decimal_commas_is_no_number(tmp_path):
@@ -222,11 +224,10 @@ BAD_FILES = {
     "no name": ("t,y,\n0,1,2\n", 1, "column 3 has no name", "delimiter at the end"),
     "an index": ("t,y(1)\n0,1\n", 1, "'y(1)' is no channel name", "in brackets"),
     "no time": ("a,y\n0,1\n1,2\n2,3\n", 1, "no time column among a, y", "t [s]"),
-    "blanks between": ("t y\n0 1\n1 2\n2 3\n", 1, "no time column among t y", "comma, semicolon or tab"),
     "time alone": ("t\n0\n1\n2\n", 1, "the only one", "comma, semicolon or tab"),
     "two times": ("t,time\n0,0\n1,1\n2,2\n", 1, "two time columns", "keep one"),
-    "milliseconds": ("t [ms],y\n0,1\n10,2\n20,3\n", 1, "time is in ms", "by 0.001"),
-    "minutes": ("t [min],y\n0,1\n10,2\n20,3\n", 1, "time is in min", "by 60"),
+    "days": ("t [d],y\n0,1\n10,2\n20,3\n", 1, "time is in d", "convert the column"),
+    "stamps": ("Timestamp,y\n0,1\n10,2\n20,3\n", 1, "is it in s, or in ms?", "Timestamp [ms]"),
     "empty": ("", 1, "is empty", "header"),
     "blank": ("\n \n\n", 1, "is empty", "header"),
     "header only": ("t,y\n", 1, "0 samples", "whole"),

@@ -164,11 +164,12 @@ def prepared(plant: Plant, own: Dataset, held_out: Dataset | None, dt: float | N
         told = f"{type(plant).__name__} {plant!r}"[:60]
         raise InputError(f"plant: {told}, expected a Plant", mend="from plants import PLANTS, or a plant of your own")
     own, held_out = as_dataset(own), None if held_out is None else as_dataset(held_out)
+    read = [*own.notes, *(held_out.notes if held_out else [])]
     own, said = thinned(own, dt, plant)
     if held_out:
         held_out = thinned(held_out, own.dt if said else dt, plant)[0]
         check_held_out(own, held_out)
-    notes = [f"{', '.join(own.names)}: {said}"] if said else []
+    notes = [*read, *([f"{', '.join(own.names)}: {said}"] if said else [])]
     notes += [str(note) for note in check(plant, own, anyway=anyway)]
     notes += [str(note) for note in check(plant, held_out, anyway=anyway)] if held_out else []
     return Records(own, held_out, tuple(notes))

@@ -230,12 +230,13 @@ def _method(name: str) -> Method:
 def prepared(own: Dataset, held_out: Dataset | None, dt: float | None) -> Records:
     """Records with roles, thinned out where nothing in them moves fast. Raises InputError for what cannot be identified."""
     own, held_out = as_dataset(own), None if held_out is None else as_dataset(held_out)
+    read = [*own.notes, *(held_out.notes if held_out else [])]
     own, thinner = thinned(own, dt)
     check_roles(own)
     if held_out:
         held_out = thinned(held_out, own.dt)[0] if thinner else held_out
         check_held_out(own, held_out)
-    return Records(own, held_out, (f"{', '.join(own.names)}: {thinner}",) if thinner else ())
+    return Records(own, held_out, (*read, *([f"{', '.join(own.names)}: {thinner}"] if thinner else [])))
 
 
 def check_roles(records: Dataset) -> None:

@@ -1,0 +1,301 @@
+"""Text as loggers write it, written anew as `readers` takes it: one header, semicolons, time in seconds, numbers alone.
+
+    sep=;
+    Prüfstand 3                        -> t [s];u [V];n [1/min]
+    Timestamp;u;n;remark               ->
+    ms;V;1/min;                        ->
+    0;1,5;980;start                    -> 0,0;1,5;980
+
+What was recognised is said in a note for each thing. Lines keep their numbers, so that whatever else is wrong is refused with
+its place. Nothing is guessed that has two readings: time stamps of unknown unit, and numbers that may have marks of thousands,
+are asked about.
+"""
+
+import codecs
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from workbench.errors import InputError
+from workbench.records import record
+from workbench.units import UNITS
+
+DELIMITERS = (";", "\t", ",", "|", None)  # None: blanks, any number of them
+SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+FEWEST = 3  # rows that look alike, for the line above them to be a header
+SHORT = 12  # letters that a unit may have
+MARKS = ("#", "%")  # of comments
+NUMERIC = 0.5  # share of the cells of a column that are numbers, from which on others are faults and not text
+DAY = 86400.0
+
+#: Names of time, and those that say nothing of its unit.
+CLOCKS = ("t", "time", "zeit", "elapsed", "elapsed time")
+STAMPS = ("timestamp", "time stamp", "time_stamp", "zeitstempel", "datetime", "date time", "date/time", "uhrzeit", "clock")
+SUFFIXED = re.compile(rf"({'|'.join(map(re.escape, (*CLOCKS, *STAMPS)))})[ _]?(s|ms|us|min|h)", re.IGNORECASE)
+SPELLINGS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us", "minutes": "min"}
+
+_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?|[\[(][^\])]*[\])]")  # a unit in brackets goes with its name
+_UNIT = re.compile(r"\[\s*(.*?)\s*\]|\(\s*(.*?)\s*\)")
+_TIME = re.compile(r"(?:(.*?)[ T])?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)(Z|[-+]\d{2}:?\d{2})?")
+_DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y")  # in others day and month may change places
+
+
+@record
+class Plain:
+    """Text that `readers` takes, and what was recognised, in sentences."""
+
+    text: str
+    notes: tuple[str, ...]
+
+
+@record
+class _Layout:
+    """Where a table stands in a text: its delimiter, the rows of header and units (-1: none), and its first row of numbers."""
+
+    delimiter: str | None
+    header: int
+    units: int
+    first: int
+
+
+def plain(path: Path) -> Plain | None:
+    """The text of a file written anew; None where it is no table, or there is nothing to write anew.
+
+    Raises InputError, with both readings, where what was logged could mean two things.
+    """
+    decoded = _decoded(path.read_bytes())
+    if decoded is None:
+        return None
+    text, notes = decoded
+    lines = re.split(r"\r\n|\n|\r", text)
+    layout = _layout(lines, notes)
+    if layout is None:
+        return None
+    cells = [_cells(line, layout.delimiter) for line in lines]
+    names, units = _names(cells, layout)
+    if lines[layout.header].lstrip().startswith(MARKS):
+        notes.append("the header stands in a comment")
+    rows = [k for k in range(layout.first, len(lines)) if lines[k].strip()]
+    kept = _kept(path, cells, rows, names, layout.header + 1, notes)
+    time = _time(path, names, units, cells, rows, kept, layout.header + 1)
+    if time is None:
+        return None
+    column, factor, said = time
+    notes += said
+    written = [""] * len(lines)
+    commas = layout.delimiter != "," and any("," in cells[k][j] for k in rows for j in kept if j < len(cells[k]) and j != column)
+    stamps = _stamps(path, names[column], cells, rows, column, factor) if said else {}
+    for k in rows:
+        own = [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept if j < len(cells[k])]
+        own[kept.index(column)] = own[kept.index(column)].replace(".", ",") if commas else own[kept.index(column)]
+        written[k] = ";".join([*own, *cells[k][len(names) :]])  # more cells than names: refused there
+    heads = [f"{names[j]} [{units[j]}]" if units[j] and j != column else names[j] for j in kept]
+    written[layout.header] = ";".join("t [s]" if j == column else head for j, head in zip(kept, heads, strict=True))
+    return Plain("\n".join(written), tuple(notes)) if notes else None
+
+
+def _decoded(content: bytes) -> tuple[str, list[str]] | None:
+    """The text, and a note where it is not UTF-8; None of what is no text."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            return content.decode("utf-16"), ["read as UTF-16"]
+        except UnicodeDecodeError:
+            return None
+    if b"\0" in content:
+        return None
+    try:
+        return content.decode("utf-8-sig"), []
+    except UnicodeDecodeError:
+        return content.decode("cp1252", errors="replace"), ["not UTF-8, read as Windows-1252: look at names and units"]
+
+
+def _layout(lines: Sequence[str], notes: list[str]) -> _Layout | None:
+    """The table of a text, by the delimiter that makes most columns of it."""
+    begin = next((k for k, line in enumerate(lines) if line.strip()), 0)
+    given = SEPARATOR.fullmatch(lines[begin].strip()) if lines else None
+    found = [own for d in ((given[1],) if given else DELIMITERS) if (own := _table(lines, d, begin + bool(given)))]
+    if not found:
+        return None
+    widest = max(len(_cells(lines[own.header], own.delimiter)) for own in found)
+    layout = next(own for own in found if len(_cells(lines[own.header], own.delimiter)) == widest)
+    if given:
+        notes.append(f"sep={given[1]} says how columns are separated")
+    above = sum(bool(line.strip()) for line in lines[begin + bool(given) : layout.header])
+    if above:
+        notes.append(f"{above} line{'s' * (above > 1)} above the header left out")
+    if layout.units >= 0:
+        notes.append("units are in a row of their own")
+    if layout.delimiter in ("|", None):
+        notes.append(f"columns are separated by {'blanks' if layout.delimiter is None else '|'}")
+    return layout
+
+
+def _table(lines: Sequence[str], delimiter: str | None, begin: int) -> _Layout | None:
+    """Where rows of numbers begin that have a header above; None where there are none."""
+    filled = [k for k in range(begin, len(lines)) if lines[k].strip()]
+    cells = {k: _cells(lines[k], delimiter) for k in filled[:200]}  # a header is near the top
+    filled = [k for k in filled if k in cells]
+    for at in range(1, len(filled) - FEWEST + 1):
+        rows = [cells[k] for k in filled[at : at + FEWEST]]
+        width = len(rows[0])
+        if width < 2 or any(len(row) != width or not _measured(row, delimiter) for row in rows):
+            continue
+        above = [k for k in filled[:at] if len(cells[k]) == width and not _measured(cells[k], delimiter)]
+        if not above or above[-1] != filled[at - 1]:
+            return None
+        if len(above) > 1 and above[-2] == filled[at - 2] and _are_units(cells[above[-1]]):
+            return _Layout(delimiter, above[-2], above[-1], filled[at])
+        return _Layout(delimiter, above[-1], -1, filled[at])
+    return None
+
+
+def _cells(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return _WORD.findall(line)
+    split = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
+    return [cell.strip() for cell in split]
+
+
+def _measured(row: Sequence[str], delimiter: str | None) -> bool:
+    """Whether a row holds numbers or clock times, at least two and in half of its cells."""
+    filled = [cell for cell in row if cell]
+    numbers = sum(_is_number(cell, delimiter != ",") or bool(_TIME.fullmatch(cell)) for cell in filled)
+    return numbers >= 2 and 2 * numbers >= len(filled)
+
+
+def _is_number(cell: str, commas: bool) -> bool:
+    try:
+        float(cell.replace(",", ".") if commas else cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    """Whether cells are units: half of them known ones or in brackets, the others short."""
+    filled = [cell for cell in row if _inner(cell)]
+    known = sum(_inner(cell) != cell or cell in UNITS or cell in SPELLINGS for cell in filled)
+    return 2 * known >= len(filled) > 0 and all(len(_inner(cell)) <= SHORT for cell in filled)
+
+
+def _inner(cell: str) -> str:
+    """A unit without the brackets around it; "-" is none."""
+    match = _UNIT.fullmatch(cell)
+    inner = (match[1] or match[2] or "") if match else cell
+    return "" if inner in ("-", "--") else inner
+
+
+def _names(cells: Sequence[Sequence[str]], layout: _Layout) -> tuple[list[str], list[str]]:
+    """Names of columns, as they stand where no row of units follows, and units by column where one does."""
+    header = [cell.strip().strip('"').strip() for cell in cells[layout.header]]
+    header[0] = header[0].lstrip("".join(MARKS)).strip()
+    if layout.units < 0:
+        return header, [""] * len(header)
+    units = [_inner(cell) for cell in cells[layout.units]]
+    return header, [unit if not _UNIT.search(name) else "" for name, unit in zip(header, units, strict=True)]
+
+
+def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: list[str]) -> list[int]:
+    """Columns that are taken: not empty ones, not text, and of equal ones the first."""
+    kept: list[int] = []
+    columns = [[cells[k][j] if j < len(cells[k]) else "" for k in rows] for j in range(len(names))]
+    for j, (name, own) in enumerate(zip(names, columns, strict=True)):
+        numbers = sum(_is_number(cell, True) or bool(_TIME.fullmatch(cell)) for cell in own)
+        if not any(own):
+            notes += [f"{name}: an empty column left out"] if name else ["an empty column left out"]
+        elif numbers < NUMERIC * len(own):
+            slow = numbers == sum(map(bool, own))
+            holds = f"has numbers in {numbers} of {len(own)} rows" if slow else "holds text"
+            notes.append(f"{name or f'column {j + 1}'} {holds} and is left out")
+        elif any(name == names[i] and own == columns[i] for i in kept):
+            notes.append(f"{name} stands there twice with the same numbers")
+        else:
+            kept.append(j)
+    return kept
+
+
+def _time(path, names, units, cells, rows, kept, line: int) -> tuple[int, float, list[str]] | None:
+    """The column of time, what its numbers are multiplied by (0: clock times), and a note where it is not in seconds already.
+
+    None where there is none, or more than one.
+    """
+    found = []
+    for j in kept:
+        name, unit = _split(names[j])
+        unit, match = unit or units[j], SUFFIXED.fullmatch(name)
+        if match:
+            name, unit = match[1], unit or match[2]
+        if name.lower() in (*CLOCKS, *STAMPS):
+            found.append((j, name, SPELLINGS.get(unit, unit)))
+    if len(found) != 1:
+        return None
+    j, name, unit = found[0]
+    if sum(bool(_TIME.fullmatch(cells[k][j])) for k in rows if j < len(cells[k])) > NUMERIC * len(rows):
+        return j, 0.0, [f"{name} holds clock times: t is 0 at the first"]
+    if not unit and name.lower() in STAMPS:
+        mend = f"write {name} [s] or {name} [ms] in the header"
+        raise InputError("a time of unknown unit: is it in s, or in ms?", file=path, line=line, channel=name, mend=mend)
+    known = UNITS.get(unit) if unit else UNITS["s"]
+    if known is None or known.quantity != "time":
+        return None
+    return (
+        j,
+        known.factor,
+        [f"{name} is in {unit}, taken as t in s"]
+        if known.factor != 1.0
+        else [f"{name} is the time"] * (names[j] not in ("t", "t [s]", "time", "Time", "Zeit")),
+    )
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Name and unit of a header's cell such as Time (ms)."""
+    match = _UNIT.search(name)
+    return (name[: match.start()].strip(), match[1] or match[2] or "") if match else (name, "")
+
+
+def _stamps(path, name: str, cells, rows: Sequence[int], column: int, factor: float) -> dict[int, str]:
+    """Seconds by row, as text; what is no number is left as it stands, to be refused there."""
+    if not factor:
+        return {
+            k: repr(seconds) for k, seconds in _clock(path, name, [(k, cells[k][column]) for k in rows if column < len(cells[k])])
+        }
+    found = {}
+    for k in rows:
+        cell = cells[k][column].replace(",", ".") if column < len(cells[k]) else ""
+        if _is_number(cell, False):
+            found[k] = repr(float(f"{float(cell) * factor:.12g}"))
+    return found
+
+
+def _clock(path, name: str, stamps: Sequence[tuple[int, str]]) -> Iterator[tuple[int, float]]:
+    """Seconds since the first of clock times, which may pass midnight; with a date where there is one."""
+    first, before, days = None, 0.0, 0.0
+    dates: dict[str, float] = {}
+    for k, cell in stamps:
+        match = _TIME.fullmatch(cell)
+        if not match:
+            continue
+        date, hours, minutes, seconds = match[1] or "", int(match[2]), int(match[3]), match[4].replace(",", ".")
+        if date not in dates:
+            if dates and not (day := _day(date, next(iter(dates)))):
+                mend = f"write {name} as 2024-12-31 12:00:00.000"
+                raise InputError(f"the date {date!r} may be read two ways", file=path, line=k + 1, channel=name, mend=mend)
+            dates[date] = day if dates else 0.0
+        now = 3600.0 * hours + 60.0 * minutes + float(seconds)
+        if not date and now < before - 0.5 * DAY:
+            days += DAY
+        before, at = now, now + days + dates[date]
+        first = at if first is None else first
+        yield k, round(at - first, 9)
+
+
+def _day(date: str, first: str) -> float:
+    """Seconds from midnight of one date to that of another; 0 where they cannot be read in one way only."""
+    for form in _DATES:
+        try:
+            return (datetime.strptime(date, form) - datetime.strptime(first, form)).total_seconds()
+        except ValueError:
+            continue
+    return 0.0
