@@ -315,7 +315,10 @@ class Dataset:
     @property
     def notes(self) -> list[str]:
         """How files were understood that could not be read as they are."""
-        return [f"{e.name}: {note}" for e in self for note in e.notes]
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for e in self:
+            alike.setdefault(e.notes, []).append(e.name)
+        return [f"{', '.join(names)}: {'; '.join(notes)}" for notes, names in alike.items() if notes]
 
     def __len__(self) -> int:
         return len(self.experiments)

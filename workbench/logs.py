@@ -14,7 +14,7 @@ are asked about.
 import codecs
 import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from workbench.records import record
 from workbench.units import UNITS
 
 DELIMITERS = (";", "\t", ",", "|", None)  # None: blanks, any number of them
-SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+SEPARATOR = re.compile(r'"?sep=([;,|\t])"?', re.IGNORECASE)
 FEWEST = 3  # rows that look alike, for the line above them to be a header
 SHORT = 12  # letters that a unit may have
 MARKS = ("#", "%")  # of comments
@@ -32,10 +32,14 @@ DAY = 86400.0
 
 #: Names of time, and those that say nothing of its unit.
 CLOCKS = ("t", "time", "zeit", "elapsed", "elapsed time")
+DATES = ("date", "datum")  # of clock times in a column of their own
+TAGS = ("tag", "tagname", "tag name", "signal", "variable", "item", "channel")  # of values below each other
 STAMPS = ("timestamp", "time stamp", "time_stamp", "zeitstempel", "datetime", "date time", "date/time", "uhrzeit", "clock")
-SUFFIXED = re.compile(rf"({'|'.join(map(re.escape, (*CLOCKS, *STAMPS)))})[ _]?(s|ms|us|min|h)", re.IGNORECASE)
+SUFFIXED = re.compile(rf"(?i:({'|'.join(map(re.escape, (*CLOCKS[1:], *STAMPS)))})[ _]?(s|ms|us|min|h))|(t)_(s|ms|us)")
+FACTORS = tuple(unit for unit, own in UNITS.items() if own.quantity == "time")
 SPELLINGS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us", "minutes": "min"}
 
+_MARKED = re.compile(r"[-+\u2212]?\d[\d.,' \u00a0]*")
 _WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?|[\[(][^\])]*[\])]")  # a unit in brackets goes with its name
 _UNIT = re.compile(r"\[\s*(.*?)\s*\]|\(\s*(.*?)\s*\)")
 _TIME = re.compile(r"(?:(.*?)[ T])?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)(Z|[-+]\d{2}:?\d{2})?")
@@ -44,9 +48,10 @@ _DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y")  # in others day and month may cha
 
 @record
 class Plain:
-    """Text that `readers` takes, and what was recognised, in sentences."""
+    """Text that `readers` takes, what its time is multiplied by for s, and what was recognised, in sentences."""
 
     text: str
+    factor: float
     notes: tuple[str, ...]
 
 
@@ -75,6 +80,10 @@ def plain(path: Path) -> Plain | None:
         return None
     cells = [_cells(line, layout.delimiter) for line in lines]
     names, units = _names(cells, layout)
+    if layout.units >= 0:
+        _check_units(path, cells[layout.header], cells[layout.units], layout.units + 1)
+    if '"' in lines[layout.header] + lines[layout.first]:
+        notes.append("cells are in quotes")
     if lines[layout.header].lstrip().startswith(MARKS):
         notes.append("the header stands in a comment")
     rows = [k for k in range(layout.first, len(lines)) if lines[k].strip()]
@@ -84,16 +93,17 @@ def plain(path: Path) -> Plain | None:
         return None
     column, factor, said = time
     notes += said
+    stamps = {} if factor else _clock(path, names, cells, rows, column)
     written = [""] * len(lines)
-    commas = layout.delimiter != "," and any("," in cells[k][j] for k in rows for j in kept if j < len(cells[k]) and j != column)
-    stamps = _stamps(path, names[column], cells, rows, column, factor) if said else {}
     for k in rows:
-        own = [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept if j < len(cells[k])]
-        own[kept.index(column)] = own[kept.index(column)].replace(".", ",") if commas else own[kept.index(column)]
+        if len(cells[k]) < len(names):
+            problem, mend = f"{len(cells[k])} cells, expected {len(names)}", "the line is cut off: complete it or delete it"
+            raise InputError(problem, file=path, line=k + 1, channel=_split(names[len(cells[k])])[0] or None, mend=mend)
+        own = [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept]
         written[k] = ";".join([*own, *cells[k][len(names) :]])  # more cells than names: refused there
     heads = [f"{names[j]} [{units[j]}]" if units[j] and j != column else names[j] for j in kept]
     written[layout.header] = ";".join("t [s]" if j == column else head for j, head in zip(kept, heads, strict=True))
-    return Plain("\n".join(written), tuple(notes)) if notes else None
+    return Plain("\n".join(written), factor or 1.0, tuple(notes)) if notes else None
 
 
 def _decoded(content: bytes) -> tuple[str, list[str]] | None:
@@ -153,8 +163,11 @@ def _table(lines: Sequence[str], delimiter: str | None, begin: int) -> _Layout |
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
-        return _WORD.findall(line)
-    split = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
+        return _WORD.findall(line.lstrip("".join(MARKS)))
+    try:
+        split = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
+    except csv.Error:  # a cell of megabytes
+        split = line.split(delimiter)
     return [cell.strip() for cell in split]
 
 
@@ -177,7 +190,8 @@ def _are_units(row: Sequence[str]) -> bool:
     """Whether cells are units: half of them known ones or in brackets, the others short."""
     filled = [cell for cell in row if _inner(cell)]
     known = sum(_inner(cell) != cell or cell in UNITS or cell in SPELLINGS for cell in filled)
-    return 2 * known >= len(filled) > 0 and all(len(_inner(cell)) <= SHORT for cell in filled)
+    numbers = any(_is_number(cell, True) for cell in filled if cell != "1")
+    return 2 * known >= len(filled) > 0 and not numbers and all(len(_inner(cell)) <= SHORT for cell in filled)
 
 
 def _inner(cell: str) -> str:
@@ -197,15 +211,29 @@ def _names(cells: Sequence[Sequence[str]], layout: _Layout) -> tuple[list[str], 
     return header, [unit if not _UNIT.search(name) else "" for name, unit in zip(header, units, strict=True)]
 
 
+def _check_units(path: Path, header: Sequence[str], row: Sequence[str], line: int) -> None:
+    """Refuse a unit in the header and another one below."""
+    for (name, unit), below in zip(map(_split, header), map(_inner, row), strict=True):
+        if unit and below and unit != below:
+            mend = "keep the one that is right"
+            raise InputError(
+                f"in {unit} by the header, in {below} by the row below", file=path, line=line, channel=name, mend=mend
+            )
+
+
 def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: list[str]) -> list[int]:
     """Columns that are taken: not empty ones, not text, and of equal ones the first."""
     kept: list[int] = []
     columns = [[cells[k][j] if j < len(cells[k]) else "" for k in rows] for j in range(len(names))]
     for j, (name, own) in enumerate(zip(names, columns, strict=True)):
         numbers = sum(_is_number(cell, True) or bool(_TIME.fullmatch(cell)) for cell in own)
+        marked = all(_MARKED.fullmatch(cell) for cell in own if cell)  # numbers with marks of thousands: refused where they stand
         if not any(own):
             notes += [f"{name}: an empty column left out"] if name else ["an empty column left out"]
-        elif numbers < NUMERIC * len(own):
+        elif numbers < NUMERIC * len(own) and (not marked or numbers == sum(map(bool, own))):
+            if name.lower() in TAGS and len(set(own)) > 1 and any(other.lower() == "value" for other in names):
+                mend = f"give each {name} a column of its own"
+                raise InputError(f"values of several {name} below each other", file=path, line=line, channel=name, mend=mend)
             slow = numbers == sum(map(bool, own))
             holds = f"has numbers in {numbers} of {len(own)} rows" if slow else "holds text"
             notes.append(f"{name or f'column {j + 1}'} {holds} and is left out")
@@ -226,27 +254,29 @@ def _time(path, names, units, cells, rows, kept, line: int) -> tuple[int, float,
         name, unit = _split(names[j])
         unit, match = unit or units[j], SUFFIXED.fullmatch(name)
         if match:
-            name, unit = match[1], unit or match[2]
-        if name.lower() in (*CLOCKS, *STAMPS):
+            name, unit = match[1] or match[3], unit or match[2] or match[4]
+        if name.lower() in (*CLOCKS, *STAMPS) and (name != "T" or unit in FACTORS):  # T alone is a temperature
             found.append((j, name, SPELLINGS.get(unit, unit)))
     if len(found) != 1:
-        return None
+        if any(_split(name)[0].lower() in (*CLOCKS, *STAMPS) for k, name in enumerate(names) if k not in kept):
+            return None  # its times are no numbers: the first of them is refused
+        told, mend = f"no time column among {', '.join(names)}", "name the time column t [s]"
+        if found:
+            told, mend = f"two time columns, {' and '.join(names[k] for k, _, _ in found)}", "keep one"
+        raise InputError(told, file=path, line=line, mend=mend)
     j, name, unit = found[0]
     if sum(bool(_TIME.fullmatch(cells[k][j])) for k in rows if j < len(cells[k])) > NUMERIC * len(rows):
         return j, 0.0, [f"{name} holds clock times: t is 0 at the first"]
     if not unit and name.lower() in STAMPS:
         mend = f"write {name} [s] or {name} [ms] in the header"
         raise InputError("a time of unknown unit: is it in s, or in ms?", file=path, line=line, channel=name, mend=mend)
-    known = UNITS.get(unit) if unit else UNITS["s"]
+    known = UNITS.get(unit or "s")
     if known is None or known.quantity != "time":
         return None
-    return (
-        j,
-        known.factor,
-        [f"{name} is in {unit}, taken as t in s"]
-        if known.factor != 1.0
-        else [f"{name} is the time"] * (names[j] not in ("t", "t [s]", "time", "Time", "Zeit")),
-    )
+    if known.factor != 1.0:
+        return j, known.factor, [f"{name} is in {unit}, taken as t in s"]
+    plainly = names[j] in ("t", "t [s]", "time", "Time", "Zeit")
+    return j, 1.0, [] if plainly else [f"{name} is taken as time in s"]
 
 
 def _split(name: str) -> tuple[str, str]:
@@ -255,40 +285,37 @@ def _split(name: str) -> tuple[str, str]:
     return (name[: match.start()].strip(), match[1] or match[2] or "") if match else (name, "")
 
 
-def _stamps(path, name: str, cells, rows: Sequence[int], column: int, factor: float) -> dict[int, str]:
-    """Seconds by row, as text; what is no number is left as it stands, to be refused there."""
-    if not factor:
-        return {
-            k: repr(seconds) for k, seconds in _clock(path, name, [(k, cells[k][column]) for k in rows if column < len(cells[k])])
-        }
-    found = {}
-    for k in rows:
-        cell = cells[k][column].replace(",", ".") if column < len(cells[k]) else ""
-        if _is_number(cell, False):
-            found[k] = repr(float(f"{float(cell) * factor:.12g}"))
-    return found
+def _clock(path, names: Sequence[str], cells, rows: Sequence[int], column: int) -> dict[int, str]:
+    """Seconds since the first by row, as text, of clock times with a date or without, which may pass midnight.
 
-
-def _clock(path, name: str, stamps: Sequence[tuple[int, str]]) -> Iterator[tuple[int, float]]:
-    """Seconds since the first of clock times, which may pass midnight; with a date where there is one."""
-    first, before, days = None, 0.0, 0.0
+    What is no clock time is refused where it stands. Written without point or comma, which would say how others are meant.
+    """
+    beside = next((j for j, name in enumerate(names) if name.lower() in DATES), None)
+    found: dict[int, str] = {}
     dates: dict[str, float] = {}
-    for k, cell in stamps:
-        match = _TIME.fullmatch(cell)
-        if not match:
+    zones, first, before, days = set(), None, 0.0, 0.0
+    for k in rows:
+        if column >= len(cells[k]):
             continue
-        date, hours, minutes, seconds = match[1] or "", int(match[2]), int(match[3]), match[4].replace(",", ".")
+        match = _TIME.fullmatch(cells[k][column])
+        if not match:
+            found[k] = f"{cells[k][column]} is no clock time"
+            continue
+        date = match[1] or (cells[k][beside] if beside is not None and beside < len(cells[k]) else "")
+        fault, mend = "", f"write {names[column]} as 2024-12-31 12:00:00.000"
         if date not in dates:
-            if dates and not (day := _day(date, next(iter(dates)))):
-                mend = f"write {name} as 2024-12-31 12:00:00.000"
-                raise InputError(f"the date {date!r} may be read two ways", file=path, line=k + 1, channel=name, mend=mend)
-            dates[date] = day if dates else 0.0
-        now = 3600.0 * hours + 60.0 * minutes + float(seconds)
-        if not date and now < before - 0.5 * DAY:
-            days += DAY
+            dates[date] = _day(date, next(iter(dates))) if dates else 0.0
+            fault = f"the date {date!r} may be read two ways" if len(dates) > 1 and not dates[date] else ""
+        zones.add(match[5])
+        if fault or len(zones) > 1:
+            problem = fault or "the time zone changes"
+            raise InputError(problem, file=path, line=k + 1, channel=names[column], mend=mend)
+        now = 3600.0 * int(match[2]) + 60.0 * int(match[3]) + float(match[4].replace(",", "."))
+        days += DAY * (not date and now < before - 0.5 * DAY)
         before, at = now, now + days + dates[date]
         first = at if first is None else first
-        yield k, round(at - first, 9)
+        found[k] = f"{round((at - first) * 1e9)}e-9"
+    return found
 
 
 def _day(date: str, first: str) -> float:

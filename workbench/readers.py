@@ -34,6 +34,7 @@ MAT_READER = Path(__file__).with_name("loadmat.py")
 
 #: Fewer samples than this are no record.
 SHORTEST = 3
+YEARS = 1e11  # s: milliseconds since 1970 are more, seconds are not
 MANY_GAPS = 10  # above which a record is not cut at each of them
 
 #: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
@@ -181,10 +182,11 @@ def _read_csv(path: Path) -> Experiment:
         found = plain(path)
         if found is None:
             raise
-    return replace(_read_text(_Source(path, found.text)), notes=found.notes)
+    return replace(_read_text(_Source(path, found.text), found.factor), notes=found.notes)
 
 
-def _read_text(source: _Source) -> Experiment:
+def _read_text(source: _Source, factor: float = 1.0) -> Experiment:
+    """factor: of the time column, for s."""
     path, header = source.path, _header(source)
     table = _table(source, header)
     if len(table) < SHORTEST:
@@ -194,7 +196,11 @@ def _read_text(source: _Source) -> Experiment:
             line=header.line,
             mend="is the file whole?",
         )
-    t = table[:, header.time]
+    t = factor * table[:, header.time]
+    if abs(t[0]) > YEARS:
+        name = header.names[header.time]
+        mend = f"write {name} [ms] in the header, or {name} [us]"
+        raise InputError(f"{t[0]:g} s is no time of this age", file=path, line=header.line, channel=name, mend=mend)
     dt = _sample_time(path, header.names[header.time], t, lambda row: _line_of_row(source, header, row))
     kept = [k for k in range(len(header.names)) if k != header.time]
     channels = tuple(Channel(header.names[k], header.units[k], role_of(header.names[k])) for k in kept)

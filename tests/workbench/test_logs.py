@@ -147,7 +147,7 @@ def test_what_two_logs_could_mean_is_asked(tmp_path):
     with pytest.raises(InputError, match="text '12:00'"):  # hours and minutes, or minutes and seconds?
         read_text(tmp_path, "Time,y,z\n12:00,1,2\n12:01,2,3\n12:02,3,4\n12:03,3,4\n")
     groups = "Zeit;Motor;Last\ns;n;M\n0;1;2\n1;2;3\n2;3;4\n"  # names below groups are no units
-    with pytest.raises(InputError, match="channel Zeit: text 's'"):
+    with pytest.raises(InputError, match="no time column among s, n, M"):
         read_text(tmp_path, groups)
 
 
@@ -156,3 +156,54 @@ def test_a_slower_channel_is_left_out_and_said(tmp_path):
     e = read_text(tmp_path, "t,y,slow\n" + rows)
     assert e.names == ("y",)
     assert e.notes == ("slow has numbers in 4 of 20 rows and is left out",)
+
+
+REFUSED = {
+    "marks beside a converted time": ("Time [s];load\n0.1;1,234\n0.2;1,235\n0.3;1,236\n0.4;1,240\n", "line 2"),
+    "marks beside clock times": (
+        "Time;force;n\n12:00:00;1,234;980\n12:00:01;1,235;990\n12:00:02;1,236;998\n",
+        "a decimal comma, or a mark of thousands",
+    ),
+    "marks in the time": ("Time [ms];u\n1,000;5\n1,100;6\n1,200;7\n1,300;8\n", "a decimal comma, or a mark of thousands"),
+    "both marks": ("t;u;y\n0;1.234,5;1\n1;1.235,5;2\n2;1.236,5;3\n", "channel u"),
+    "epoch without unit": ("t,u\n1714560000000,1\n1714560000100,1\n1714560000200,1\n", "no time of this age"),
+    "a temperature": ("No;T;u\n1;20.0;1\n2;20.5;1\n3;21.0;1\n", "no time column"),
+    "a least temperature": ("Tmin;Tmax;u\n1;20;1\n2;21;1\n3;22;1\n", "no time column"),
+    "values of several tags": (
+        "TagName;Timestamp;Value\nA;2024-05-01 12:00:00.0;1,5\nB;2024-05-01 12:00:00.5;7,1\nA;2024-05-01 12:00:01.0;1,6\n",
+        "values of several TagName below each other",
+    ),
+    "two units": ("Time [s];u;y\nms;V;V\n0;1;2\n1;2;2\n2;3;1\n", "in s by the header, in ms by the row below"),
+    "zones": (
+        "Timestamp,u,y\n2024-10-27T02:59:58+02:00,1,2\n2024-10-27T02:59:59+02:00,1,2\n2024-10-27T02:00:00+01:00,1,2\n",
+        "the time zone changes",
+    ),
+    "a row of data below the header": ("Time [s];u;mode;dir\n0;;A;N\n1;2;A;N\n2;3;A;N\n3;3;A;N\n", "line"),
+    "a number among clock times": ("Time;u;y\n12:00:00;1;2\n12:00:01;1;2\n12:00:02;1;2\n3;1;2\n", "3 is no clock time"),
+    "a day is missing": (
+        "Date,Time,u,y\n2024-05-01,12:00:00,1,1\n2024-05-01,12:00:01,1,2\n2024-05-01,12:00:02,1,3\n2024-05-03,12:00:03,1,4\n",
+        "gap of",
+    ),
+    "cut before the time": ("u;y;Time (ms)\n1;2;0\n1;2;1\n1;2;2\n1;2;3\n4;5\n", "line 6"),
+    "a foot": ("No,Clock,u\n1,12:00:00,0\n2,12:00:01,1\n3,12:00:02,2\nEnd of log\n", "line 5"),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_would_be_read_wrongly_is_refused_at_its_place(tmp_path, kind):
+    text, said = REFUSED[kind]
+    with pytest.raises(InputError, match=said):
+        read_text(tmp_path, text)
+
+
+def test_stamps_since_1970_keep_their_milliseconds(tmp_path):
+    e = read_text(tmp_path, "Timestamp [ms],u\n" + "".join(f"{1714560000003 + 22 * k},1\n" for k in range(40)))
+    assert e.dt == pytest.approx(0.022, abs=1e-8)
+    np.testing.assert_allclose(np.diff(e.t), 0.022, atol=1e-6)
+
+
+def test_quotes_and_headers_in_comments_of_blanks_are_read(tmp_path):
+    assert read_text(tmp_path, '"t","u"\n"0","1.5"\n"1","2"\n"2","2.5"\n')["u"].tolist() == [1.5, 2.0, 2.5]
+    assert read_text(tmp_path, "# t u y\n0 1 2\n1 2 3\n2 3 4\n")["y"].tolist() == [2.0, 3.0, 4.0]
+    assert read_text(tmp_path, "Time (ms);T (degC)\n0;20\n1;20,5\n2;21\n").names == ("T",)
+    assert read_text(tmp_path, '"' + 140_000 * "x" + "\nTime (ms),u\n0,1\n1,2\n2,3\n").names == ("u",)
