@@ -1,10 +1,10 @@
-"""Text as loggers write it, written anew as `readers` takes it: one header, semicolons, time in seconds, numbers alone.
+"""Text as loggers write it, written anew as `readers` takes it: one header, semicolons, numbers alone, and a factor of its time.
 
     sep=;
     Prüfstand 3                        -> t [s];u [V];n [1/min]
     Timestamp;u;n;remark               ->
     ms;V;1/min;                        ->
-    0;1,5;980;start                    -> 0,0;1,5;980
+    0;1,5;980;start                    -> 0;1,5;980            and 0.001 s
 
 What was recognised is said in a note for each thing. Lines keep their numbers, so that whatever else is wrong is refused with
 its place. Nothing is guessed that has two readings: time stamps of unknown unit, and numbers that may have marks of thousands,
@@ -228,13 +228,13 @@ def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: 
     for j, (name, own) in enumerate(zip(names, columns, strict=True)):
         numbers = sum(_is_number(cell, True) or bool(_TIME.fullmatch(cell)) for cell in own)
         marked = all(_MARKED.fullmatch(cell) for cell in own if cell)  # numbers with marks of thousands: refused where they stand
+        slow = numbers == sum(map(bool, own))  # of another rate: numbers and empty cells
         if not any(own):
             notes += [f"{name}: an empty column left out"] if name else ["an empty column left out"]
-        elif numbers < NUMERIC * len(own) and (not marked or numbers == sum(map(bool, own))):
+        elif numbers < NUMERIC * len(own) and (slow or not marked):
             if name.lower() in TAGS and len(set(own)) > 1 and any(other.lower() == "value" for other in names):
                 mend = f"give each {name} a column of its own"
                 raise InputError(f"values of several {name} below each other", file=path, line=line, channel=name, mend=mend)
-            slow = numbers == sum(map(bool, own))
             holds = f"has numbers in {numbers} of {len(own)} rows" if slow else "holds text"
             notes.append(f"{name or f'column {j + 1}'} {holds} and is left out")
         elif any(name == names[i] and own == columns[i] for i in kept):
@@ -247,7 +247,7 @@ def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: 
 def _time(path, names, units, cells, rows, kept, line: int) -> tuple[int, float, list[str]] | None:
     """The column of time, what its numbers are multiplied by (0: clock times), and a note where it is not in seconds already.
 
-    None where there is none, or more than one.
+    None where its times are no numbers or in no unit of time. Raises InputError where there is none, or more than one.
     """
     found = []
     for j in kept:
