@@ -123,6 +123,11 @@ def records(seed: int, machine: str, truth: tuple[Hidden, ...] = ()) -> Dataset:
     return Dataset(tuple(o.experiment for o in outcomes))
 
 
+def setting_of(seed: int, machine: str) -> Any:
+    """The machine of these records as it was drawn, with its loop."""
+    return _Bench(MACHINES[machine], seed).setting
+
+
 @record
 class Lot:
     """What a seed draws first."""

@@ -7,6 +7,7 @@ tell which is which. Noise levels of a model without the lag, and a start at par
 the wrong order, and a fit that has arrived there does not cross the ridge between them.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ FAR = 3.0  # standard deviations of its prior at which a parameter has left its 
 TOGETHER = 0.9  # correlation of a time with a parameter from which on they may have changed places
 SHORTEST, LONGEST, RATIO = 0.5, 32.0, np.sqrt(2.0)  # times in samples that are held, and their ratio
 BEST, MINIMA = 3, 2  # of the times that are held, fitted further; minima whose times are released
+FURTHER = 6  # fits at most
 STEP = 1e-3  # standard deviations of a parameter, for differences
 SAME = 10.0  # deviance within which two times are told apart by nothing
 INTERVAL = 1.96  # standard deviations of a time, or of its difference to a time constant, within which two are not told apart
@@ -80,14 +82,10 @@ def _met(model: Model, key: str) -> list[Other]:
     if not _remembers(model.predictor.plant, key):
         return []
     time, at, n = _time(model, key), _place(model.fit.unknowns, key).start, model.fit.unknowns.split[0]
-    own = _time_constants(model)
-    moved = [_time_constants(model, by) for by in STEP * np.eye(n)]
-    if any(len(m) != len(own) for m in moved):
-        return []
     found = []
-    for j, T in enumerate(own):
+    for T, own in _slopes(model):
         slope = np.zeros(model.fit.unknowns.size)
-        slope[:n] = [(m[j] - T) / STEP for m in moved]
+        slope[:n] = T * own
         slope[at] = -1.0
         if abs(T - time) < INTERVAL * float(np.sqrt(slope @ model.fit.covariance @ slope)):
             found.append(Other.about(T, 0.0))
@@ -125,26 +123,28 @@ def _exchangeable(model: Model, key: str) -> bool:
         return True
     if not _remembers(model.predictor.plant, key):
         return False
-    own = _time_constants(model)
-    moved = [_time_constants(model, by) for by in STEP * np.eye(n)]
-    if any(len(m) != len(own) for m in moved):
+    slopes = _slopes(model)
+    if not slopes and _time_constants(model):
         return True  # poles that meet: nothing can be said
-    slope = np.log(np.array(moved) / own) / STEP  # of the time constants over theta
     # of all parameters at which a time constant is `time` the nearest to the data sheet
-    far = np.abs(np.log(time / np.array(own)) + model.fit.z[:n] @ slope) / np.maximum(np.linalg.norm(slope, axis=0), 1e-300)
-    return bool(np.any(far < FAR))
+    far = [abs(np.log(time / T) + model.fit.z[:n] @ own) / max(float(np.linalg.norm(own)), 1e-300) for T, own in slopes]
+    return min(far, default=np.inf) < FAR
+
+
+def _slopes(model: Model) -> list[tuple[float, np.ndarray]]:
+    """Each time constant T of the machine with d log T / d theta (n,); none where poles meet."""
+    own = _time_constants(model)
+    moved = [_time_constants(model, by) for by in STEP * np.eye(model.fit.unknowns.split[0])]
+    if any(len(m) != len(own) for m in moved):
+        return []
+    return [(T, np.log(np.array([m[j] for m in moved]) / T) / STEP) for j, T in enumerate(own)]
 
 
 def _minima(model: Model, key: str, sizes: np.ndarray) -> list[Model]:
-    """Models at the lowest minima of the profile, their times released."""
+    """Models at the lowest minima of the profile, and with the time and the machine's exchanged, their times released."""
     held = _profiled(model, key, sizes)
     for time in sorted(held, key=lambda time: held[time].posterior)[:BEST]:
-        for _ in range(2):
-            again = _fitted(held[time].predictor, held[time].fit.unknowns, held[time].fit.z, sizes)
-            gained = held[time].posterior - again.posterior
-            held[time] = again if gained > 0.0 else held[time]
-            if gained < CONVERGED:
-                break
+        held[time] = _converged(held[time], sizes)
     lowest = min(held, key=lambda time: held[time].posterior)
     for time in (lowest * RATIO**-0.5, lowest * RATIO**0.5):
         near = held[lowest]
@@ -154,7 +154,36 @@ def _minima(model: Model, key: str, sizes: np.ndarray) -> list[Model]:
     lows = sorted(
         (c, time) for before, c, after, time in zip(cost, cost[1:], cost[2:], times, strict=False) if c < min(before, after)
     )
-    return [_released(model, held[time], key, time, sizes) for _, time in lows[:MINIMA]]
+    found = [_released(model, held[time], key, time, sizes) for _, time in lows[:MINIMA]]
+    return found + [_released(model, own, key, time, sizes) for time, own in _exchanged(model, key, sizes)]
+
+
+def _exchanged(model: Model, key: str, sizes: np.ndarray) -> Iterator[tuple[float, Model]]:
+    """Models in which the time is a time constant of the machine, and that one the time, by the least move of the parameters.
+
+    On the grid of the profile such a minimum may be a hole between two points: it is as narrow as the records are good.
+    """
+    n, at = model.fit.unknowns.split[0], _place(model.fit.unknowns, key).start
+    if not _remembers(model.predictor.plant, key):
+        return
+    for T, slope in _slopes(model):
+        z = model.fit.z.copy()
+        z[:n] += slope * np.log(_time(model, key) / T) / max(slope @ slope, 1e-300)
+        if np.abs(z[:n]).max(initial=0.0) <= 2.0 * FAR:
+            unknowns = _holding(model.fit.unknowns, key, T)
+            own = _fitted(model.predictor, unknowns, np.delete(z, at), sizes, regains=2, near=False)
+            yield T, _converged(own, sizes)
+
+
+def _converged(model: Model, sizes: np.ndarray) -> Model:
+    """The model fitted further: released before, a time runs to the next minimum from wherever it is."""
+    for _ in range(FURTHER):
+        again = _fitted(model.predictor, model.fit.unknowns, model.fit.z, sizes)
+        gained = model.posterior - again.posterior
+        model = again if gained > 0.0 else model
+        if gained < CONVERGED:
+            break
+    return model
 
 
 def _profiled(model: Model, key: str, sizes: np.ndarray) -> dict[float, Model]:

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.hidden import case
+from tests.hidden.catalogue import Hidden
 from tests.workbench.diagnosis.cases import AXIS, READING, ROBOT, axis_by_hand, axis_records, fitted, robot_records, screened
 from tests.workbench.diagnosis.drive import DRIVE
 from workbench.data import Dataset
@@ -203,6 +205,22 @@ def test_trap_4_limits_lags_and_delays_are_found_from_the_error_they_leave_and_n
     slot = found.terms[0].sizes[0]
     assert found.fit.point.eta[0, slot] == pytest.approx(size, rel=0.1)
     assert model.deviance - found.deviance > 100.0
+
+
+@pytest.mark.parametrize(("seed", "time"), [(51035, 0.0882), (51057, 0.0958), (7, 0.12), (8, 0.07)])
+def test_trap_4_no_start_at_the_truth_ends_lower_than_the_lag_that_is_said(seed, time):
+    """The machine's own time constant and the lag may change places, and the right minimum is a hole in the profile's grid."""
+    model = fitted(case.records(seed, "welding-robot", (Hidden("sensor-lag", "v", {"time": time}, 1.0),)))
+    sizes = small_sizes(model.predictor, model.fit)
+    found = timed(model, settled(refitted(model, "sensor-lag@v"), sizes), "sensor-lag@v", sizes).model
+    own, true = found.fit.unknowns, case.setting_of(seed, "welding-robot").machine._asdict()
+    start, at = found.fit.z.copy(), own.places[0].start
+    start[: own.split[0]] = [np.log(true[q.name] / q.value) * np.sqrt(3.0) / q.tolerance for q in ROBOT.parameters]
+    start[at] = time
+    begun = settled(Model(found.predictor, gauss_newton(found.predictor, own, start, sizes, rounds=6)), sizes)
+    assert begun.fit.z[at] == pytest.approx(time, rel=0.1)
+    assert found.posterior < begun.posterior + 3.0
+    assert found.farthest < 3.0
 
 
 def test_trap_5_a_shape_between_the_values_of_its_grid_leaves_no_second_effect():
