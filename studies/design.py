@@ -24,7 +24,6 @@ from studies.referee import handed_out
 from workbench.answers.answer import PLANT_FILE
 from workbench.answers.comparison import curve_picture
 from workbench.answers.verdict import ended
-from workbench.data import Dataset
 from workbench.errors import InputError, check_known
 from workbench.files import nullable, read_json, write_json, write_text
 from workbench.hammerstein import Model, core_of, curves_of, load_either
@@ -33,10 +32,10 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
 from workbench.physics.linearised import linearised
 from workbench.provenance import provenance
-from workbench.readers import read_file
 from workbench.report.blocks import Picture, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
+from workbench.sources import read
 from workbench.steady import rests
 from workbench.verification.trial import OVERSHOOT, Trial, tried
 
@@ -226,7 +225,7 @@ def _errors_of(options: Namespace, model: LPVModel, progress: Say) -> tuple[Inte
         raise InputError("--tube without records", mend="give --records R.csv ..: they bound the model's errors")
     progress("errors that the records leave open")
     bound = numbers(options.bound, "--bound")
-    return ErrorRegression(options.lags, bound).fit(model, Dataset(tuple(read_file(path) for path in options.records)))
+    return ErrorRegression(options.lags, bound).fit(model, read(*options.records))
 
 
 def _say_tube(law: MPC, model: LPVModel, say: Say) -> dict[str, Any]:

@@ -60,10 +60,21 @@ def talk(sub: argparse.ArgumentParser, name: str) -> None:
     group.add_argument("--verbose", action="store_true", help="say what each stage takes, too")
 
 
-def _identify(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (CSV or MAT)")
+def _roles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--output", "--outputs", dest="outputs", metavar="A,B", help="output channels (default: by name)")
     sub.add_argument("--inputs", "--input", dest="inputs", metavar="A,B", help="input channels (default: by name)")
+
+
+def _look(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="records as a logger wrote them (CSV, TXT or MAT)")
+    _roles(sub)
+    sub.add_argument("--schedule", metavar="A", help="scheduling channels (default: by name)")
+    sub.add_argument("--dt", type=_seconds, metavar="S", help="sample time of files without a column of time")
+
+
+def _identify(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (CSV or MAT)")
+    _roles(sub)
     sub.add_argument("--schedule", metavar="A", help="scheduling channel (default: by name); none: without one")
     sub.add_argument(
         "--model",
@@ -305,7 +316,12 @@ def _holdout(sub: argparse.ArgumentParser, text: str, old: str = "") -> None:
 
 
 def _sample_time(sub: argparse.ArgumentParser, default: str) -> None:
-    sub.add_argument("--dt", type=_seconds, metavar="S", help=f"sample time to bring the records to (default: {default})")
+    sub.add_argument(
+        "--dt",
+        type=_seconds,
+        metavar="S",
+        help=f"sample time to bring the records to (default: {default}), and of files without a column of time",
+    )
 
 
 def _accept(sub: argparse.ArgumentParser) -> None:
@@ -368,6 +384,11 @@ COMMANDS = {
         "  workbench simulate ssm.json --controller scheduled-pid.json --setpoint w3=100,theta=0\n"
         "  workbench simulate --replay counterexample.json",
         _simulate,
+    ),
+    "look": Command(
+        "what records hold and what they cannot show: channels, ranges, resolution, gaps, excitation, feedback",
+        "examples:\n  workbench look log.csv\n  workbench look a.csv b.csv --inputs U --output n --schedule way",
+        _look,
     ),
     "identify": Command(
         "identify LPV models from records and score them on held-out ones",

@@ -27,7 +27,7 @@ _listed, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 # Names that were in this list until 0.1: they work for one more version.
 _MOVED = {
-    "workbench.intervals": ("ARX", "FIR", "BySchedule", "InTime", "OutputErrorRegression", "cover"),
+    "workbench.intervals": ("ARX", "FIR", "BySchedule", "InTime", "OutputErrorRegression", "cover", "load_interval_model"),
     "workbench.physics.effects": (
         "EFFECTS", "Domain", "Effect", "EffectParameter", "Pulley", "Reel", "Robot", "Shaft", "Slide", "Span", "Spring", "Tank",
         "Winding",

@@ -9,6 +9,7 @@ from .answers.diagnose import DiagnosisResult as DiagnosisResult
 from .answers.diagnose import diagnose as diagnose
 from .answers.identify import IdentificationResult as IdentificationResult
 from .answers.identify import identify as identify
+from .answers.look import look as look
 from .basis import Gaussian as Gaussian
 from .basis import PiecewiseLinear as PiecewiseLinear
 from .basis import Powers as Powers
@@ -26,7 +27,6 @@ from .identification.ssm import SSM as SSM
 from .identification.subspace import N4SID as N4SID
 from .identification.subspace import PBSID as PBSID
 from .intervals.model import IntervalModel as IntervalModel
-from .intervals.model import load_interval_model as load_interval_model
 from .intervals.regression import IntervalRegression as IntervalRegression
 from .lpv import LPVModel as LPVModel
 from .lpv import load_model as load_model

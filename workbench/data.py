@@ -389,9 +389,13 @@ def segments(experiment: Experiment, mask: np.ndarray, *, shortest: int = 2) -> 
         if last - first >= max(shortest, 1) and mask[first]:
             run = slice(first, last)
             t = experiment.t[run]
-            name = f"{experiment.name} ({t[0]:.6g} to {t[-1]:.6g} s)"
-            pieces.append(dataclasses.replace(experiment, name=name, t=t, values=experiment.values[run]))
+            pieces.append(dataclasses.replace(experiment, name=span_name(experiment.name, t), t=t, values=experiment.values[run]))
     return pieces
+
+
+def span_name(name: str, t: np.ndarray) -> str:
+    """Of a piece of a record: the record's name, and from when to when the stamps t (N,) [s] are."""
+    return f"{name} ({t[0]:.6g} to {t[-1]:.6g} s)"
 
 
 StampFault = Literal["gap", "repeated", "backwards"]

@@ -32,6 +32,8 @@ DAY = 86400.0
 
 #: Names of time, and those that say nothing of its unit.
 CLOCKS = ("t", "time", "zeit", "elapsed", "elapsed time")
+COUNTERS = ("sample", "samples", "sample number", "index", "counter", "count", "row", "#", "no", "no.", "nr", "nr.")  # of samples
+ROWS = -1  # in place of a column: the rows are counted
 DATES = ("date", "datum")  # of clock times in a column of their own
 TAGS = ("tag", "tagname", "tag name", "signal", "variable", "item", "channel")  # of values below each other
 STAMPS = ("timestamp", "time stamp", "time_stamp", "zeitstempel", "datetime", "date time", "date/time", "uhrzeit", "clock")
@@ -65,9 +67,10 @@ class _Layout:
     first: int
 
 
-def plain(path: Path) -> Plain | None:
+def plain(path: Path, dt: float | None = None) -> Plain | None:
     """The text of a file written anew; None where it is no table, or there is nothing to write anew.
 
+    dt [s]: between rows where there is no column of time, or between the numbers of a column that counts samples.
     Raises InputError, with both readings, where what was logged could mean two things.
     """
     decoded = _decoded(path.read_bytes())
@@ -87,22 +90,26 @@ def plain(path: Path) -> Plain | None:
     if lines[layout.header].lstrip().startswith(MARKS):
         notes.append("the header stands in a comment")
     rows = [k for k in range(layout.first, len(lines)) if lines[k].strip()]
+    if len(cells[rows[-1]]) < len(names) and len(rows) > FEWEST:
+        notes.append(f"line {rows[-1] + 1}, the last one, is cut off and left out")
+        rows.pop()
     kept = _kept(path, cells, rows, names, layout.header + 1, notes)
-    time = _time(path, names, units, cells, rows, kept, layout.header + 1)
+    time = _time(path, names, units, cells, rows, kept, layout.header + 1, dt)
     if time is None:
         return None
     column, factor, said = time
     notes += said
     stamps = {} if factor else _clock(path, names, cells, rows, column)
     written = [""] * len(lines)
-    for k in rows:
+    for number, k in enumerate(rows):
         if len(cells[k]) < len(names):
             problem, mend = f"{len(cells[k])} cells, expected {len(names)}", "the line is cut off: complete it or delete it"
             raise InputError(problem, file=path, line=k + 1, channel=_split(names[len(cells[k])])[0] or None, mend=mend)
-        own = [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept]
+        own = [str(number)] * (column == ROWS) + [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept]
         written[k] = ";".join([*own, *cells[k][len(names) :]])  # more cells than names: refused there
     heads = [f"{names[j]} [{units[j]}]" if units[j] and j != column else names[j] for j in kept]
-    written[layout.header] = ";".join("t [s]" if j == column else head for j, head in zip(kept, heads, strict=True))
+    heads = ["t [s]"] * (column == ROWS) + ["t [s]" if j == column else head for j, head in zip(kept, heads, strict=True)]
+    written[layout.header] = ";".join(heads)
     return Plain("\n".join(written), factor or 1.0, tuple(notes)) if notes else None
 
 
@@ -244,10 +251,11 @@ def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: 
     return kept
 
 
-def _time(path, names, units, cells, rows, kept, line: int) -> tuple[int, float, list[str]] | None:
+def _time(path, names, units, cells, rows, kept, line: int, dt: float | None) -> tuple[int, float, list[str]] | None:
     """The column of time, what its numbers are multiplied by (0: clock times), and a note where it is not in seconds already.
 
-    None where its times are no numbers or in no unit of time. Raises InputError where there is none, or more than one.
+    With dt [s] it may be a column that counts samples, or ROWS. None where its times are no numbers or in no unit of time.
+    Raises InputError where there is none, or more than one.
     """
     found = []
     for j in kept:
@@ -260,7 +268,12 @@ def _time(path, names, units, cells, rows, kept, line: int) -> tuple[int, float,
     if len(found) != 1:
         if any(_split(name)[0].lower() in (*CLOCKS, *STAMPS) for k, name in enumerate(names) if k not in kept):
             return None  # its times are no numbers: the first of them is refused
-        told, mend = f"no time column among {', '.join(names)}", "name the time column t [s]"
+        counter = next((j for j in kept if names[j].lower() in COUNTERS), None)
+        if dt and not found:
+            if counter is None:
+                return ROWS, dt, [f"no time column: a sample every {dt:g} s, as asked"]
+            return counter, dt, [f"{names[counter]} counts samples, one every {dt:g} s as asked"]
+        told, mend = f"no time column among {', '.join(names)}", "name the time column t [s], or give the sample time (dt)"
         if found:
             told, mend = f"two time columns, {' and '.join(names[k] for k, _, _ in found)}", "keep one"
         raise InputError(told, file=path, line=line, mend=mend)

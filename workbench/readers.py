@@ -14,17 +14,18 @@ import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from workbench.data import BadStamp, Channel, Experiment, Role, bad_stamps
+from workbench.data import Channel, Experiment, Role, span_name
 from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.logs import plain
 from workbench.records import record
+from workbench.stamps import Place, regular
 from workbench.units import UNITS
 
 TIME_NAMES = ("t", "time", "Time", "Zeit")
@@ -35,7 +36,6 @@ MAT_READER = Path(__file__).with_name("loadmat.py")
 #: Fewer samples than this are no record.
 SHORTEST = 3
 YEARS = 1e11  # s: milliseconds since 1970 are more, seconds are not
-MANY_GAPS = 10  # above which a record is not cut at each of them
 
 #: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
 ROLES: tuple[tuple[str, Role], ...] = (
@@ -84,10 +84,21 @@ Names = Sequence[str] | None
 
 
 def read_file(path: str | Path, *, inputs: Names = None, outputs: Names = None, schedule: Names = None) -> Experiment:
-    """One file is one record, named by its stem: .csv, .txt and .tsv as text, .mat of version 7 or older.
+    """The record of a file that holds one, see `read_records`; a file with several is refused."""
+    record, *more = read_records(path)
+    if more:
+        mend = "cut it there into files: just one record is taken here"
+        raise InputError(f"holds {1 + len(more)} records: {'; '.join(record.notes)}", file=path, mend=mend)
+    return record.with_roles(inputs or (), outputs or (), schedule or ())
 
-    Roles come from the names (`X_set` is a reference, see ROLES) or from the options, which win. The sample time is
-    the mean step of the stamps. Raises InputError with file, line, channel and mend for every fault of the file.
+
+def read_records(path: str | Path, name: str = "", dt: float | None = None) -> tuple[Experiment, ...]:
+    """The records of a file: .csv, .txt and .tsv as text, .mat of version 7 or older.
+
+    It is one where its stamps have no gap, and else one for each part between them (see `stamps`). They are called `name`, by
+    default the file's stem, and by their times as well where they are several. Roles come from the names (`X_set` is a
+    reference, see ROLES). The sample time is the mean step of the stamps; dt [s] stands for the stamps of a file that has none.
+    Raises InputError with file, line, channel and mend for every fault of the file.
     """
     path = Path(path)
     _check_file(path)
@@ -97,8 +108,16 @@ def read_file(path: str | Path, *, inputs: Names = None, outputs: Names = None, 
         raise InputError(
             f"file type {suffix!r} is not known", file=path, mend=f"expected {known}; text with columns can be named .csv"
         )
-    experiment = replace(READERS[suffix](path), file=str(path))
-    return experiment.with_roles(inputs or (), outputs or (), schedule or ())
+    return _called(name or path.stem, [replace(own, file=str(path)) for own in READERS[suffix](path, dt)])
+
+
+def _called(name: str, records: Sequence[Experiment]) -> tuple[Experiment, ...]:
+    if len(records) == 1:
+        return (replace(records[0], name=name),)
+    names = [span_name(name, own.t) for own in records]
+    if len(set(names)) < len(names):  # runs that begin and end alike
+        names = [f"{own}, part {k}" for k, own in enumerate(names, 1)]
+    return tuple(replace(own, name=one) for own, one in zip(records, names, strict=True))
 
 
 def write_csv(experiment: Experiment, path: str | Path) -> Path:
@@ -174,18 +193,19 @@ class _Source:
     text: str | None = None
 
 
-def _read_csv(path: Path) -> Experiment:
+def _read_csv(path: Path, dt: float | None) -> tuple[Experiment, ...]:
     """A table as it is; where it does not keep the contract, as it is understood, which the record's notes say."""
     try:
         return _read_text(_Source(path))
     except InputError:
-        found = plain(path)
+        found = plain(path, dt)
         if found is None:
             raise
-    return replace(_read_text(_Source(path, found.text), found.factor), notes=found.notes)
+    records = _read_text(_Source(path, found.text), found.factor)
+    return tuple(replace(own, notes=found.notes + own.notes) for own in records)
 
 
-def _read_text(source: _Source, factor: float = 1.0) -> Experiment:
+def _read_text(source: _Source, factor: float = 1.0) -> tuple[Experiment, ...]:
     """factor: of the time column, for s."""
     path, header = source.path, _header(source)
     table = _table(source, header)
@@ -201,10 +221,17 @@ def _read_text(source: _Source, factor: float = 1.0) -> Experiment:
         name = header.names[header.time]
         mend = f"write {name} [ms] in the header, or {name} [us]"
         raise InputError(f"{t[0]:g} s is no time of this age", file=path, line=header.line, channel=name, mend=mend)
-    dt = _sample_time(path, header.names[header.time], t, lambda row: _line_of_row(source, header, row))
     kept = [k for k in range(len(header.names)) if k != header.time]
     channels = tuple(Channel(header.names[k], header.units[k], role_of(header.names[k])) for k in kept)
-    return Experiment(path.stem, t, channels, table[:, kept], dt)
+    place = Place(path, header.names[header.time], lambda row: _line_of_row(source, header, row))
+    return _records(t, channels, table[:, kept], place)
+
+
+def _records(t: np.ndarray, channels: tuple[Channel, ...], values: np.ndarray, place: Place) -> tuple[Experiment, ...]:
+    """Samples as one record, or as one for each part between gaps."""
+    names = [channel.name for channel in channels]
+    found = regular(t, values, names, place)
+    return tuple(Experiment(str(place.file), own.t, channels, own.values, found.dt, notes=found.notes) for own in found.pieces)
 
 
 def role_of(name: str) -> Role:
@@ -250,7 +277,7 @@ def _header(source: _Source) -> _Header:
 def _time_column(path: Path, line: int, names: Sequence[str], units: Sequence[str]) -> int:
     found = [k for k, name in enumerate(names) if name in TIME_NAMES]
     if not found:
-        mend = "name the time column t [s]"
+        mend = "name the time column t [s], or give the sample time (dt)"
         if len(names) == 1:
             mend += "; columns are separated by comma, semicolon or tab"
         raise InputError(f"no time column among {', '.join(names)}", file=path, line=line, mend=mend)
@@ -424,55 +451,22 @@ def _line_of_row(source: _Source, header: _Header, row: int) -> int:
     return next(line for k, line in enumerate(numbered) if k == row)
 
 
-def _sample_time(path: Path, name: str, t: np.ndarray, line_of: Callable[[int], int] | None) -> float:
-    """(t[N-1] - t[0]) / (N - 1): the mean step, without the rounding of single stamps; faulty stamps are refused."""
-    typical = float(np.median(np.diff(t)))
-    if typical <= 0:  # most steps are faulty: judge them by the ones that are not
-        forward = np.diff(t)[np.diff(t) > 0]
-        typical = float(np.median(forward)) if len(forward) else 1.0
-    if faults := list(bad_stamps(t, typical)):
-        line = line_of(faults[0].index) if line_of else None
-        raise _stamp_error(path, name, faults[0], typical, line, sum(bad.fault == "gap" for bad in faults))
-    return float(f"{(t[-1] - t[0]) / (len(t) - 1):.12g}")
-
-
-def _stamp_error(path: Path, name: str, bad: BadStamp, dt: float, line: int | None, gaps: int) -> InputError:
-    row = f"line {line}" if line is not None else f"sample {bad.index + 1}"
-    header = ", the header on top of both" if line is not None else ""
-    cut = f"cut it there into two files: what comes before {row}, and {row} and what follows{header}"
-    if bad.fault == "gap":
-        problem = f"gap of {bad.after - bad.before:.6g} s before t = {bad.after:.10g} s, expected steps of {dt:.6g} s"
-        mend = cut
-        if gaps > MANY_GAPS:
-            problem += f", and {gaps - 1} more such gaps"
-            mend = f"sampled at uneven steps? Write it anew every {dt:.6g} s, interpolated between the samples"
-    elif bad.fault == "repeated":
-        problem = f"time stamp {bad.after:.10g} s is repeated, expected steps of {dt:.6g} s"
-        mend = "delete the row that was logged twice, or log the time with more digits"
-    else:
-        problem = f"time goes back from {bad.before:.10g} s to {bad.after:.10g} s"
-        mend = "two runs in one file? cut it there into two files; otherwise sort the rows by time"
-    if line is None:
-        problem = f"sample {bad.index + 1}: {problem}"
-    return InputError(problem, file=path, line=line, channel=name, mend=mend)
-
-
 # ---- MAT -------------------------------------------------------------------------------------------------------------
 
 
-def _read_mat(path: Path) -> Experiment:
+def _read_mat(path: Path, dt: float | None) -> tuple[Experiment, ...]:
     variables = _variables(path)
     for layout in LAYOUTS.values():
         if layout.fits(variables):
             return _from_layout(path, layout, variables)
-    t = _time_vector(path, variables)
+    t = _time_vector(path, variables, dt)
     columns: list[tuple[Channel, np.ndarray]] = []
     for name, array in variables.items():
         if name not in TIME_NAMES and len(array) == len(t):
             width = array.shape[1]
             names = [name] if width == 1 else [f"{name}{k + 1}" for k in range(width)]
             columns += [(Channel(key, "", role_of(key)), array[:, k]) for k, key in enumerate(names)]
-    return from_columns(path, t, columns)
+    return _from_columns(path, t, columns)
 
 
 def _variables(path: Path) -> dict[str, np.ndarray]:
@@ -495,14 +489,14 @@ def _variables(path: Path) -> dict[str, np.ndarray]:
     return {name: array.reshape(-1, 1) if 1 in array.shape else array for name, array in arrays.items()}
 
 
-def _time_vector(path: Path, variables: Mapping[str, np.ndarray]) -> np.ndarray:
+def _time_vector(path: Path, variables: Mapping[str, np.ndarray], dt: float | None) -> np.ndarray:
     for name in TIME_NAMES:
         if name in variables and variables[name].shape[1:] == (1,) and len(variables[name]) > 1:
             return variables[name][:, 0]
-    for name in ("Ts", "dt"):
-        if name in variables and variables[name].size == 1:
-            lengths = [len(v) for v in variables.values() if len(v) > 1]
-            return variables[name].flat[0] * np.arange(max(lengths, key=lengths.count) if lengths else 0)
+    given = [variables[name].flat[0] for name in ("Ts", "dt") if name in variables and variables[name].size == 1]
+    if step := next(iter(given), dt):
+        lengths = [len(v) for v in variables.values() if len(v) > 1]
+        return step * np.arange(max(lengths, key=lengths.count) if lengths else 0)
     listed = ", ".join(variables) or "none"
     raise InputError(
         f"no time vector; numeric variables: {listed}",
@@ -511,7 +505,7 @@ def _time_vector(path: Path, variables: Mapping[str, np.ndarray]) -> np.ndarray:
     )
 
 
-def _from_layout(path: Path, layout: Layout, variables: Mapping[str, np.ndarray]) -> Experiment:
+def _from_layout(path: Path, layout: Layout, variables: Mapping[str, np.ndarray]) -> tuple[Experiment, ...]:
     t = variables[layout.time][:, 0]
     columns = []
     for column in layout.columns:
@@ -524,11 +518,15 @@ def _from_layout(path: Path, layout: Layout, variables: Mapping[str, np.ndarray]
                 mend="save vectors of equal length",
             )
         columns.append((column.channel, array * variables[column.times].flat[0] if column.times else array))
-    return from_columns(path, t, columns)
+    return _from_columns(path, t, columns)
 
 
-def from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np.ndarray]]) -> Experiment:
-    """Columns (N,) with their stamps t (N,) as a record named by the path's stem; faulty stamps and numbers are refused."""
+def from_columns(name: str, t: np.ndarray, columns: Sequence[tuple[Channel, np.ndarray]]) -> tuple[Experiment, ...]:
+    """Columns (N,) with their stamps t (N,) as records of this name; faulty stamps and numbers are refused."""
+    return _called(name, _from_columns(Path(name), t, columns))
+
+
+def _from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np.ndarray]]) -> tuple[Experiment, ...]:
     if not columns:
         raise InputError(
             f"no variable has the {len(t)} samples of the time vector", file=path, mend="save each channel as a vector"
@@ -545,9 +543,8 @@ def from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np.
                 channel=name,
                 mend="repair the value, or cut the record there into two files",
             )
-    dt = _sample_time(path, "t", t, None)
-    values = np.column_stack([array for _, array in columns])
-    return Experiment(path.stem, t, tuple(channel for channel, _ in columns), values, dt)
+    channels, values = tuple(channel for channel, _ in columns), np.column_stack([array for _, array in columns])
+    return _records(t, channels, values, Place(path, "t"))
 
 
 READERS = {".csv": _read_csv, ".txt": _read_csv, ".tsv": _read_csv, ".mat": _read_mat}

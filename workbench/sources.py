@@ -5,15 +5,14 @@ data = read({"t": t, "u [V]": u, "y [rad]": y}, inputs="u", outputs="y")
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from workbench.data import Channel, Dataset, Experiment
+from workbench.data import SAME_DT, Channel, Dataset, Experiment
 from workbench.errors import InputError
-from workbench.readers import TIME_NAMES, from_columns, name_and_unit, read_file, role_of
+from workbench.readers import TIME_NAMES, from_columns, name_and_unit, read_records, role_of
 
 Names = str | Sequence[str]
 
@@ -21,10 +20,11 @@ Names = str | Sequence[str]
 def read(*sources: Any, inputs: Names = (), outputs: Names = (), schedule: Names = (), dt: float | None = None) -> Dataset:
     """Every source as one record of a set, with the roles of its channels.
 
-    A source is the path of a file (see `read_file`), a mapping or a data frame that holds an array (N,) for each channel, named
-    with its unit in brackets where it has one, or an `Experiment`. Time is a channel t [s], the frame's index of dates or
-    durations, or k dt with the sample time dt [s]. Roles come from the names or from the options, which win. Records are named
-    by their files, two of one stem by their folders too; others are counted.
+    A source is the path of a file (see `read_records`), a mapping or a data frame that holds an array (N,) for each channel,
+    named with its unit in brackets where it has one, or an `Experiment`; it is several records where its stamps have gaps. Time
+    is a channel t [s], the frame's index of dates or durations, or k dt with the sample time dt [s] where there is neither.
+    Roles come from the names or from the options, which win. Records are named by their files, two of one stem by their
+    folders too; others are counted.
 
     Raises InputError with file, line, channel and mend for every fault of a source, for a file named twice, and for records that
     do not fit together.
@@ -35,17 +35,24 @@ def read(*sources: Any, inputs: Names = (), outputs: Names = (), schedule: Names
     paths = [Path(source) for source in sources if isinstance(source, str | Path)]
     names, made = _names(paths), []
     for number, source in enumerate(sources, 1):
-        if isinstance(source, str | Path | Experiment) and dt is not None:
-            name = source.name if isinstance(source, Experiment) else source
-            raise InputError("has its own time, and a sample time was given", file=name, mend="leave dt out")
         if isinstance(source, str | Path):
-            e = replace(read_file(source), name=names[Path(source)])
+            own = read_records(source, names[Path(source)], dt)
         elif isinstance(source, Experiment):
-            e = source
+            own = (source,)
         else:
-            e = _from_arrays(f"record {number}", source, dt)
-        made.append(e.with_roles(inputs, outputs, schedule))
+            own = _from_arrays(f"record {number}", source, dt)
+        if dt is not None and abs(own[0].dt - dt) > SAME_DT * dt:
+            said = f"has its own time, a sample every {own[0].dt:g} s, and {dt:g} s was given"
+            raise InputError(said, file=own[0].name, mend="leave dt out, and bring the record to it with .resample(dt)")
+        made += [e.with_roles(inputs, outputs, schedule) for e in own]
     return Dataset(tuple(made))
+
+
+def read_files(paths: Sequence[str], dt: float | None, **roles: Names) -> list[Dataset]:
+    """Each file as `read` does; dt [s] is for those without time of their own, whatever that of the others is."""
+    names = _names([Path(path) for path in paths])
+    each = [read_records(path, names[Path(path)], dt) for path in paths]
+    return [Dataset(tuple(e.with_roles(**roles) for e in own)) for own in each]
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
@@ -59,8 +66,8 @@ def _names(paths: Sequence[Path]) -> dict[Path, str]:
     return {path: path.stem if stems.count(path.stem) == 1 else f"{path.parent.name}/{path.name}" for path in paths}
 
 
-def _from_arrays(name: str, source: Any, dt: float | None) -> Experiment:
-    """A mapping or a data frame as a record."""
+def _from_arrays(name: str, source: Any, dt: float | None) -> tuple[Experiment, ...]:
+    """A mapping or a data frame as a record, or as several where its stamps have gaps."""
     if isinstance(source, Mapping):
         columns = {str(key): source[key] for key in source}
     elif hasattr(source, "columns"):
@@ -80,7 +87,7 @@ def _from_arrays(name: str, source: Any, dt: float | None) -> Experiment:
     for channel, length in lengths.items():
         if length != len(t):
             raise InputError(f"{length} samples, expected {len(t)}", file=name, channel=channel, mend="give arrays of one length")
-    return replace(from_columns(Path(name), t, list(channels.items())), name=name)
+    return from_columns(name, t, list(channels.items()))
 
 
 def _channels(name: str, columns: Mapping[str, Any]) -> dict[Channel, np.ndarray]:

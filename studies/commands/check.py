@@ -5,14 +5,13 @@ from argparse import Namespace
 from studies.arguments import choose_controller, choose_plant, numbers, run_folder
 from studies.terminal import progress, say
 from workbench.answers.check import CHECK_FILE, check
-from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import write_bytes
 from workbench.hammerstein import load_either
 from workbench.provenance import provenance
-from workbench.readers import read_file
 from workbench.robustness.limits import load_limits
 from workbench.robustness.verdict import Status
+from workbench.sources import read
 
 ASKED = ("controller", "limits", "model", "records", "plant", "fitted", "lags", "bound", "nodes", "rate", "runs")
 
@@ -29,7 +28,7 @@ def run(options: Namespace) -> int:
         raise InputError("--fitted is for a search on the plant", mend="give --plant as well")
     chosen = choose_plant(options.plant) if options.plant else None
     controller = choose_controller(options.controller, chosen.base if chosen else "")
-    records = Dataset(tuple(read_file(path) for path in options.records)) if options.records else None
+    records = read(*options.records) if options.records else None
     for note in records.notes if records else ():
         say(f"note: {note}")
     found = check(

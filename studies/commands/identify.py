@@ -6,6 +6,7 @@ from typing import Any
 from studies.arguments import names, run_folder
 from studies.commands.interval_options import check_interval_options, interval_method
 from studies.commands.models import say_models
+from studies.commands.records import joined
 from studies.terminal import progress, say
 from workbench.advice import advise
 from workbench.answers.identify import SCORES_FILE, identify, prepared
@@ -15,7 +16,7 @@ from workbench.errors import check_known
 from workbench.files import write_bytes
 from workbench.identification import CURVED, METHODS
 from workbench.provenance import provenance
-from workbench.sources import read
+from workbench.sources import read_files
 
 INTERVAL = "interval"  # the model kind beside the methods of `workbench.identification`
 
@@ -84,19 +85,14 @@ def _read(paths: list[str], roles: dict[str, tuple[str, ...]], dt: float | None)
     dt: records of different sample times are each brought to this one.
     """
     schedule = roles["schedule"] if roles["schedule"] != ("none",) else ()
-
-    def together(own: list[str]) -> Dataset:
-        return read(*own, inputs=roles["inputs"], outputs=roles["outputs"], schedule=schedule)
-
-    each = [together([path]) for path in paths] if dt else []
-    if len({round(own.dt / dt, 6) for own in each if dt}) > 1:
+    each = read_files(paths, dt, **roles | {"schedule": schedule})
+    if dt and len({round(own.dt / dt, 6) for own in each}) > 1:
         brought = [thinned(own, dt) for own in each]
         for own, (_, said) in zip(each, brought, strict=True):
             if said:
                 say(f"note: {own.names[0]}: {said}")
-        records = Dataset(tuple(done.experiments[0] for done, _ in brought))
-    else:
-        records = together(paths)
+        each = [done for done, _ in brought]
+    records = joined(each)
     if schedule == roles["schedule"]:
         return records
     return Dataset(tuple(e.select([c.name for c in e.channels if c.role != "schedule"]) for e in records))

@@ -22,14 +22,15 @@ def say_models(results: Sequence[ScoredModel], accept: bool) -> int:
 
 def _say_scores(results: Sequence[ScoredModel]) -> None:
     """Held-out free runs first, the headline; of the estimation records the free run alone, the rest is in the files."""
-    say(f"{'model':8} {'order':>5}  {'record':16} {'split':10} {'output':8} {'horizon':9} {'FIT':>7} {'RM':>7} {'RMSE':>10}")
     rank: dict[Any, int] = {"free-run": 0, "one-step": 1}
     scores = [(result.model, s) for result in results for s in result.scores]
     scores = [(model, s) for model, s in scores if s.split == "held-out" or s.horizon == "free-run"]
     scores.sort(key=lambda pair: (pair[1].split != "held-out", rank.get(pair[1].horizon, 2), pair[1].output))
+    wide = max(16, *(len(s.record) for _, s in scores))
+    say(f"{'model':8} {'order':>5}  {'record':{wide}} {'split':10} {'output':8} {'horizon':9} {'FIT':>7} {'RM':>7} {'RMSE':>10}")
     for model, s in scores:
         say(
-            f"{s.model:8} {model.order:5d}  {s.record:16} {s.split:10} {s.output:8} {horizon_name(s.horizon):9} "
+            f"{s.model:8} {model.order:5d}  {s.record:{wide}} {s.split:10} {s.output:8} {horizon_name(s.horizon):9} "
             f"{s.FIT:7.1f} {s.RM:7.1f} {s.RMSE:10.4g} {s.unit}"
         )
 

@@ -1,6 +1,7 @@
 """What `calibrate` and `diagnose` share: their records, what was asked of them, and how an extended plant is named again."""
 
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +9,17 @@ from plants import PLANTS
 from studies.arguments import Chosen
 from workbench.answers.answer import Records
 from workbench.data import Dataset
-from workbench.sources import read
+from workbench.sources import read_files
 
 
 def read_both(options: Namespace) -> tuple[Dataset, Dataset | None]:
-    """The records of a command, and those of --holdout."""
-    return read(*options.records), read(*options.holdout) if options.holdout else None
+    """The records of a command, and those of --holdout; --dt is the sample time of files without time as well."""
+    own, held_out = (read_files(paths, options.dt) for paths in (options.records, options.holdout))
+    return joined(own), joined(held_out) if held_out else None
+
+
+def joined(each: Sequence[Dataset]) -> Dataset:
+    return Dataset(tuple(e for own in each for e in own))
 
 
 def configuration(options: Namespace, records: Records, *keys: str) -> dict[str, Any]:

@@ -184,8 +184,8 @@ REFUSED = {
         "Date,Time,u,y\n2024-05-01,12:00:00,1,1\n2024-05-01,12:00:01,1,2\n2024-05-01,12:00:02,1,3\n2024-05-03,12:00:03,1,4\n",
         "gap of",
     ),
-    "cut before the time": ("u;y;Time (ms)\n1;2;0\n1;2;1\n1;2;2\n1;2;3\n4;5\n", "line 6"),
-    "a foot": ("No,Clock,u\n1,12:00:00,0\n2,12:00:01,1\n3,12:00:02,2\nEnd of log\n", "line 5"),
+    "cut before the time": ("u;y;Time (ms)\n1;2;0\n1;2;1\n1;2;2\n4;5\n1;2;4\n", "line 5"),
+    "a foot of two lines": ("No,Clock,u\n1,12:00:00,0\n2,12:00:01,1\n3,12:00:02,2\nEnd of log\n3 rows\n", "line 5"),
 }
 
 

@@ -152,7 +152,7 @@ BAD_LINES = {
     "decimal commas": (5, "0,3,1,0,0,0,0,0,1,10,0", None, "11 cells, expected 6", "decimal commas"),
     "repeated": (5, "0.2,1,0,0,0.1,10", "t", "0.2 s is repeated", "logged twice"),
     "backwards": (5, "0.05,1,0,0,0.1,10", "t", "goes back from 0.2 s to 0.05 s", "two runs in one file"),
-    "gap": (5, "0.36,1,0,0,0.1,10", "t", "gap of 0.16 s before t = 0.36 s", "into two files: what comes before line 5,"),
+    "gap": (5, "0.56,1,0,0,0.1,10", "t", "gap of 0.36 s before t = 0.56 s", "into two files: what comes before line 5,"),
 }
 
 
@@ -192,10 +192,13 @@ def test_a_record_of_uneven_steps_is_not_to_be_cut_at_each_of_them(tmp_path):
     assert "uneven steps? Write it anew every 0.01 s, interpolated" in error.mend
 
 
-def test_a_truncated_last_line_is_named(tmp_path):
-    text = "\n".join([HEADER, *rows(12)])
-    error = refusal(put(tmp_path, text[:-8]))
-    assert error.line == 13
+def test_a_truncated_last_line_is_left_out_and_another_one_named(tmp_path):
+    lines = [HEADER, *rows(12)]
+    record = read_file(put(tmp_path, "\n".join(lines)[:-8]))
+    assert (len(record), record.notes) == (11, ("line 13, the last one, is cut off and left out",))
+    lines[7] = lines[7][:-8]
+    error = refusal(put(tmp_path, "\n".join(lines)))
+    assert error.line == 8
     assert "cut off" in error.mend
 
 

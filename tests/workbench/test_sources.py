@@ -56,6 +56,28 @@ def test_a_sample_time_stands_for_a_column_of_time():
     assert e.dt == 0.05
 
 
+def test_a_sample_time_stands_for_the_stamps_of_a_file_too(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("u;y\n" + "".join(f"{k};{2 * k}\n" for k in range(40)))
+    (e,) = wb.read(path, dt=0.05)
+    np.testing.assert_allclose(e.t, 0.05 * np.arange(40), atol=1e-12)
+    assert e.names == ("u", "y")
+    assert "a sample every 0.05 s, as asked" in e.notes[0]
+    path.write_text("Sample;u\n" + "".join(f"{k + 7};{k}\n" for k in range(100) if k not in range(50, 60)))
+    first, second = wb.read(path, dt=0.05)
+    assert (len(first), len(second), first.names) == (50, 40, ("u",))
+    assert second.t[0] - first.t[0] == pytest.approx(60 * 0.05)
+    path.write_text("u;y\n1;2\n2;3\n3;4\n")
+    with pytest.raises(InputError, match="no time column among u, y"):
+        wb.read(path)
+
+
+def test_a_sample_time_that_is_not_that_of_the_stamps_is_refused(file):
+    assert wb.read(file, dt=0.05).dt == pytest.approx(0.05)
+    with pytest.raises(InputError, match=r"has its own time, a sample every 0\.05 s, and 0\.1 s was given"):
+        wb.read(file, dt=0.1)
+
+
 @pytest.mark.parametrize(
     ("source", "options", "said"),
     [

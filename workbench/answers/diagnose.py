@@ -352,8 +352,8 @@ def _next_blocks(plant: Plant, found: Diagnosis) -> tuple[Block, ...]:
     table = (Table("Expected evidence", ("experiment", "expected evidence"), rows, caption=caption, digits=3),) if rows else ()
     if not todo.signals:
         return (Text(ended(todo.sentence)), *table)
-    caption = f"{ended(todo.sentence)} Also beside this page as {EXPERIMENT_FILE}."
-    return (figures.signals("Next experiment", todo.dt, _signals(plant, todo), caption), *table)
+    caption, played = f"{ended(todo.sentence)} Also beside this page as {EXPERIMENT_FILE}.", list(_signals(plant, todo).values())
+    return (figures.signals("Next experiment", todo.dt * np.arange(len(played[0].values)), played, caption), *table)
 
 
 def _reach_blocks(found: Diagnosis) -> tuple[Block, ...]:

@@ -85,17 +85,14 @@ def test_only_effects_with_a_rival_are_in_the_matrix_and_the_larger_share_has_th
 
 
 def test_signals_have_a_panel_each_and_their_samples_in_the_file():
-    traces = {
-        "w3_set": Trace(Channel("w3_set", "rad/s"), np.arange(5.0)),
-        "theta_set": Trace(Channel("theta_set", "deg"), np.zeros(5)),
-    }
-    picture = figures.signals("Next experiment", 0.04, traces, "Play this.")
+    traces = [Trace(Channel("w3_set", "rad/s"), np.arange(5.0)), Trace(Channel("theta_set", "deg"), np.zeros(5))]
+    picture = figures.signals("Next experiment", 0.04 * np.arange(5), traces, "Play this.")
     table = columns(picture)
     np.testing.assert_allclose(table["t [s]"], 0.04 * np.arange(5))
     assert table["w3_set [rad/s]"] == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert len(line(picture, "signal-0")) == len(line(picture, "signal-1")) == 5
-    with pytest.raises(RecordError, match="different lengths"):
-        figures.signals("x", 0.1, {"a": Trace(Channel("a"), np.zeros(3)), "b": Trace(Channel("b"), np.zeros(4))}, "")
+    with pytest.raises(RecordError, match="expected \\(3,\\)"):
+        figures.signals("x", np.arange(3.0), [Trace(Channel("a"), np.zeros(3)), Trace(Channel("b"), np.zeros(4))], "")
 
 
 def test_what_is_left_is_the_curve_it_was_given():

@@ -6,7 +6,7 @@ the same data give the same bytes everywhere.
 
 from workbench.report.figures.canvas import BEYOND, PIXELS, WIDTH, Trace
 from workbench.report.figures.control import Followed, closed_loop, nyquist, over_schedule
-from workbench.report.figures.diagnosis import ParameterEstimate, left_over, missing, parameters, signals, similarity
+from workbench.report.figures.diagnosis import ParameterEstimate, left_over, missing, parameters, similarity
 from workbench.report.figures.envelopes import Band, Width, envelope, widths
 from workbench.report.figures.identification import order_sweep, singular_values, sparsity_path
 from workbench.report.figures.modes import (
@@ -17,6 +17,7 @@ from workbench.report.figures.modes import (
     parameters_along_time,
 )
 from workbench.report.figures.rates import Rates, rates, taken_for
+from workbench.report.figures.records import signals, spectra, visited
 from workbench.report.figures.robustness import beside_limits, guaranteed
 from workbench.report.figures.scheduling import Coefficient, coefficient_functions, frozen_responses, frozen_steps
 from workbench.report.figures.scores import score_dots
@@ -64,8 +65,10 @@ __all__ = [
     "similarity",
     "singular_values",
     "sparsity_path",
+    "spectra",
     "surface",
     "taken_for",
     "tornado",
+    "visited",
     "widths",
 ]

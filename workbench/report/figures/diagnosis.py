@@ -1,9 +1,8 @@
-"""Pictures of a diagnosis: fitted parameters against the data sheet, what was missing, what looks alike, what to measure next."""
+"""Pictures of a diagnosis: fitted parameters against the data sheet, what was missing, what looks alike, what is left."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 import workbench.report.figures.canvas as canvas
 from workbench.data import Channel
@@ -168,24 +167,3 @@ def left_over(title: str, variable: Channel, what: Trace, grid: np.ndarray) -> P
         Data(title, columns),
         f"Line chart of {what.channel.name} over {variable.name}",
     )
-
-
-def signals(title: str, dt: float, traces: Mapping[str, Trace], caption: str) -> Picture:
-    """Signals to be played, a panel each, over time; dt [s]."""
-    if not traces:
-        raise RecordError(f"{title}: no signals")
-    length = {len(trace.values) for trace in traces.values()}
-    if len(length) > 1:
-        raise RecordError(f"{title}: signals of different lengths {sorted(length)}")
-    t = dt * np.arange(length.pop())
-    with canvas.style():
-        figure = canvas.sheet(0.6 + 1.2 * len(traces))
-        every = figure.subplots(len(traces), 1, sharex=True, squeeze=False)[:, 0]
-        for i, (axes, trace) in enumerate(zip(every, traces.values(), strict=True)):
-            canvas.trace(axes, t, trace.values, canvas.colour(i), f"signal-{i}", width=1.1)
-            axes.set_ylabel(canvas.label(trace.channel))
-            axes.yaxis.set_major_locator(MaxNLocator(4))
-        every[-1].set_xlabel("t [s]")
-        svg = canvas.render(figure)
-    columns = [Column("t", t, "s"), *(Column(trace.channel.name, trace.values, trace.channel.unit) for trace in traces.values())]
-    return Picture(title, svg, caption, Data(title, tuple(columns)), f"Line charts of {', '.join(traces)} over {t[-1]:g} s")

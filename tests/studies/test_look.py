@@ -1,0 +1,43 @@
+"""`workbench look` on the command line: what it says, writes, and refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+from studies.cli import main
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A laboratory's log: German, in ms, with units below the names, a remark, and a logger that stood still for a while."""
+    lines = ["sep=;", "Prüfstand 3", "Zeit;U;n;Bemerkung", "ms;V;1/min;"]
+    for k in [*range(400), *range(600, 1000)]:
+        lines.append(f"{5 * k};{3 * np.sign(np.sin(k / 30)):.1f};{900 * np.sin(k / 40):.1f};{'start' * (k == 0)}".replace(".", ","))
+    path = tmp_path / "log.csv"
+    path.write_bytes("\r\n".join(lines).encode("cp1252"))
+    return path
+
+
+def test_a_laboratorys_log_is_told_on_one_screen(log, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["look", str(log), "--inputs", "U", "--output", "n", "--out", str(out), "--json", str(tmp_path / "l.json")]) == 0
+    said = capsys.readouterr().out
+    assert "2 records, 800 samples of 2 channels every 0.005 s" in said
+    assert "gap of 1.005 s after t = 1.995 s (line 405)" in said
+    assert "Zeit is in ms, taken as t in s" in said
+    assert f"go on: workbench identify {log} --inputs U --output n" in said
+    assert len(said.splitlines()) < 24
+    content = json.loads((tmp_path / "l.json").read_text())
+    assert [r["samples"] for r in content["sets"][0]["records"]] == [400, 400]
+    assert (out / "report.html").exists()
+
+
+def test_files_that_cannot_be_read_are_told_and_end_with_two(log, tmp_path, capsys):
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t,u\n0,1\n1,\n2,3\n")
+    assert main(["look", str(bad), str(log), "--out", str(tmp_path / "out")]) == 2
+    assert "not read: " in (said := capsys.readouterr().out)
+    assert "line 3, channel u: empty cell" in said
+    assert main(["look", str(log), "--inputs", "Spannung", "--out", str(tmp_path / "none")]) == 2
+    assert "unknown channel 'Spannung'" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""Stamps of a logger, spoilt in known ways: what is read must be what was measured, at the time when it was."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from workbench.data import bad_stamps
+from workbench.errors import InputError
+from workbench.sources import read
+from workbench.stamps import MEND, MISSED
+
+DT = 0.02
+
+
+class Log:
+    """An even run: sample k at k DT; the channel k says which sample a row is, the others move slowly."""
+
+    def __init__(self, samples: int):
+        self.k = np.arange(samples)
+        self.t = self.k * DT
+        self.digits = 0.0  # s, step of the stamps
+
+    def spoil(self, fault: str, random: np.random.Generator) -> None:
+        at = int(random.integers(len(self.k) // 4, 3 * len(self.k) // 4))
+        if fault == "gap":
+            self._drop(at, int(random.integers(4, 200)))
+        elif fault == "missed":
+            for _ in range(int(random.integers(1, 4))):
+                self._drop(int(random.integers(40, len(self.k) - 40)), int(random.integers(1, MISSED + 1)))
+        elif fault == "doubled":
+            self.k, self.t = np.insert(self.k, at, self.k[at]), np.insert(self.t, at, self.t[at])
+        elif fault == "late":
+            held = int(random.integers(1, 8))
+            late = self.t[at + held - 1] + 0.9 * DT * random.random()
+            self.t[at : at + held] = np.maximum(self.t[at : at + held], late)
+        elif fault == "anew":
+            self.t[at:] -= self.t[at] + random.choice([0.0, 3.0])
+        elif fault == "set back":
+            self.t[at:] -= random.choice([0.5, 3600.0])
+        elif fault == "jitter":
+            self.t = self.t + 0.2 * DT * random.uniform(-1.0, 1.0, len(self.t))
+        elif fault == "digits":
+            self.digits = float(random.choice([0.05, 0.1, 1.0]))
+            self.t = np.floor(self.t / self.digits + 1e-9) * self.digits
+
+    def _drop(self, at: int, count: int) -> None:
+        self.k, self.t = (np.delete(own, slice(at, at + count)) for own in (self.k, self.t))
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        return {"t [s]": self.t, "u [V]": np.sin(0.05 * self.k), "k": self.k.astype(float), "y": np.cos(0.031 * self.k) + 2.0}
+
+
+FAULTS = ("jitter", "gap", "missed", "doubled", "late", "anew", "set back", "digits")
+
+
+def check(log: Log, at_most: float) -> None:
+    """Every record is even in time and holds neighbours that were neighbours; values are those that were measured."""
+    stamps = {k: {float(s) for s in log.t[log.k == k]} for k in np.unique(log.k)}
+    for e in read(log.columns):
+        k = np.rint(e["k"]).astype(int)
+        assert np.abs(e["k"] - k).max() < 1e-6
+        assert (np.diff(k) == 1).all()  # none is missing, none stands there twice, the order is that of the run
+        assert e.dt == pytest.approx(DT, rel=5e-3)
+        assert not any(bad_stamps(e.t, e.dt))
+        off = [min(abs(s - own) for s in stamps[j]) for j, own in zip(k, e.t, strict=True) if j in stamps]
+        assert max(off) <= at_most
+        there = np.isin(k, log.k)
+        assert np.abs(e["u"] - np.sin(0.05 * k))[there].max() < 1e-12
+        assert np.abs(e["u"] - np.sin(0.05 * k)).max() < 1.5 * MEND
+        assert np.abs(e["y"] - np.cos(0.031 * k) - 2.0).max() < 1.5 * MEND
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_fault_is_mended_and_told(fault):
+    for seed in range(25):
+        random = np.random.default_rng([seed, FAULTS.index(fault)])
+        log = Log(1500)
+        log.spoil(fault, random)
+        check(log, 9 * DT if fault == "late" else 1.05 * log.digits + 1e-9)
+        assert bool(read(log.columns).notes) == bool(any(bad_stamps(log.t, DT)))
+
+
+def test_faults_in_threes_are_read_right_or_refused():
+    faults = [own for own in FAULTS if own != "digits"]
+    refused = 0
+    for seed, three in enumerate(itertools.combinations(faults, 3)):
+        random = np.random.default_rng([seed, 99])
+        log = Log(3000)
+        for fault in three:
+            log.spoil(fault, random)
+        try:
+            read(log.columns)
+        except InputError:
+            refused += 1
+            continue
+        check(log, 9 * DT)
+    assert refused <= 3

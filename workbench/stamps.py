@@ -1,0 +1,242 @@
+"""Time stamps as loggers write them, brought to a constant rate: what was mended is said, what has two readings is refused.
+
+rows logged twice              left out
+stamps of too few digits       the even line that each of them is within one of its steps of
+stamps that came late          put where those before and after say they belong
+a few missed samples           filled in by straight lines; the error is what these make of samples that are there
+a gap, or time that goes back  the table is cut there into two records
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from workbench.data import GAP, bad_stamps
+from workbench.errors import InputError
+from workbench.records import field, record
+
+LATE = 20  # samples after which a late stamp must have been caught up with
+MISSED = 3  # samples in a row that may be filled in
+FILLED = 0.02  # share of a record that may be, and
+MEND = 0.1  # the error that it may have, in standard deviations of a channel
+COARSE = 0.05  # share of stamps equal to the one before, from which on they have too few digits
+FEWEST = 25  # samples of a record that a table is cut into
+ROUNDING = 1e-12  # of its largest number, by which a channel that stands still may seem to move
+LOST = 0.1  # share of the samples that may be in shorter pieces
+MANY = 10  # gaps above which nobody cuts a file by hand
+SHOWN = 3  # cuts that a note tells of
+
+
+@record
+class Place:
+    """Where stamps stand: the file, the name of the column, and the line of a row where rows are lines."""
+
+    file: Path
+    channel: str
+    line: Callable[[int], int] | None = None
+
+    def of(self, row: int) -> str:
+        return f"line {self.line(row)}" if self.line else f"sample {row + 1}"
+
+
+@record
+class Piece:
+    """A record of a table: stamps t (N,), and values (N, nc)."""
+
+    t: np.ndarray = field("N", unit="s")
+    values: np.ndarray = field("N nc")
+
+
+@record
+class Regular:
+    """A table as records with one sample time dt [s], and what was done to its stamps, in sentences."""
+
+    pieces: tuple[Piece, ...]
+    dt: float = field("", unit="s")
+    notes: tuple[str, ...] = ()
+
+
+@record
+class _Rows:
+    """What is left of a table on its way: stamps, values, and the rows of the file that they stand in."""
+
+    t: np.ndarray = field("N")
+    values: np.ndarray = field("N nc")
+    rows: np.ndarray = field("N")
+
+    def take(self, kept: np.ndarray | slice) -> "_Rows":
+        return _Rows(self.t[kept], self.values[kept], self.rows[kept])
+
+
+def regular(t: np.ndarray, values: np.ndarray, names: Sequence[str], place: Place) -> Regular:
+    """Rows values (N, nc) of the channels `names` with stamps t (N,) [s] as records at a constant rate.
+
+    dt is the mean step, without the rounding of single stamps. Raises InputError with the place of the first fault for stamps
+    that cannot be brought to a constant rate, or in more than one way.
+    """
+    typical = _typical(t)
+    if not any(bad_stamps(t, typical)):
+        return Regular((Piece(t, values),), _mean_step([t]))
+    notes: list[str] = []
+    table = _once(_caught_up(_Rows(t, values, np.arange(len(t))), typical, notes), notes)
+    steps = np.diff(table.t)
+    coarse = bool(np.mean(steps == 0) > COARSE)
+    if coarse:
+        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else typical  # the step of the stamps
+    elif (steps == 0).any():
+        raise _error(place, table, typical)
+    breaks = np.flatnonzero((steps < 0) | (steps > GAP * typical)) + 1
+    if not coarse:
+        breaks = breaks[~_filled_in(table, breaks, typical, names, notes)]
+    pieces = [table.take(slice(*edges)) for edges in itertools.pairwise([0, *breaks, len(table.t)])]
+    kept = [own for own in pieces if len(own.t) >= FEWEST] if len(pieces) > 1 else pieces
+    lost = sum(len(own.t) for own in pieces) - sum(len(own.t) for own in kept)
+    if not kept or lost > LOST * len(t):
+        raise _error(place, table, typical)
+    if len(pieces) > 1:
+        notes.append(_told(table, pieces, typical, place))
+    if lost:
+        notes.append(f"{_counted(lost, 'sample')} in pieces of fewer than {FEWEST} left out")
+    even = [_on_a_line(own, typical, place) if coarse else _without_holes(own, typical) for own in kept]
+    dt = _mean_step([own.t for own in even])
+    if coarse:
+        notes.append(f"stamps in steps of {typical:.6g} s: samples taken as even, every {dt:.6g} s, within one step of them")
+    return Regular(tuple(even), dt, tuple(notes))
+
+
+def _typical(t: np.ndarray) -> float:
+    steps = np.diff(t)
+    typical = float(np.median(steps))
+    if typical <= 0:  # most steps are faulty: judge them by the ones that are not
+        forward = steps[steps > 0]
+        typical = float(np.median(forward)) if len(forward) else 1.0
+    return typical
+
+
+def _mean_step(pieces: Sequence[np.ndarray]) -> float:
+    return float(f"{sum(t[-1] - t[0] for t in pieces) / sum(len(t) - 1 for t in pieces):.12g}")
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count > 1)}"
+
+
+def _caught_up(table: _Rows, dt: float, notes: list[str]) -> _Rows:
+    """Stamps that came late, with as many samples after them as if they had not, put evenly between their neighbours."""
+    t, worst, count = table.t.copy(), 0.0, 0
+    for k in np.flatnonzero(np.diff(t) > GAP * dt) + 1:
+        if t[k] - t[k - 1] <= GAP * dt:
+            continue  # among those that were put in their place
+        later = np.arange(1, min(LATE, len(t) - 1 - k) + 1)
+        meets = np.abs(t[k + later] - t[k - 1] - (later + 1) * dt) <= 0.5 * dt
+        forward = np.cumprod(t[k + later] >= t[k + later - 1]).astype(bool)
+        if (meets & forward).any():
+            m = int(later[np.argmax(meets & forward)])
+            even = np.linspace(t[k - 1], t[k + m], m + 2)[1:-1]
+            worst, count = max(worst, float(np.max(np.abs(t[k : k + m] - even)))), count + m
+            t[k : k + m] = even
+    if count:
+        came = f"{_counted(count, 'stamp')} that came late"
+        notes.append(f"{came}, off by at most {worst:.3g} s, put evenly between those before and after")
+    return _Rows(t, table.values, table.rows)
+
+
+def _once(table: _Rows, notes: list[str]) -> _Rows:
+    """Without rows that say the same as the one before, time included, where few do."""
+    twice = np.zeros(len(table.t), bool)
+    twice[1:] = (np.diff(table.t) == 0) & (np.diff(table.values, axis=0) == 0).all(axis=1)
+    if not twice.any() or np.mean(np.diff(table.t) == 0) > COARSE:
+        return table
+    notes.append(f"{_counted(int(twice.sum()), 'row')} logged twice left out")
+    return table.take(~twice)
+
+
+def _filled_in(table: _Rows, breaks: np.ndarray, dt: float, names: Sequence[str], notes: list[str]) -> np.ndarray:
+    """Which of the breaks (m,) are a few missed samples that straight lines fill in well enough."""
+    missed = np.rint((table.t[breaks] - table.t[breaks - 1]) / dt).astype(int) - 1
+    short = (missed > 0) & (missed <= MISSED)
+    count = int(missed[short].sum())
+    if not count or count > FILLED * len(table.t):
+        return np.zeros(len(breaks), bool)
+    errors = _errors_of_lines(table, int(missed[short].max()), dt)
+    worst = int(np.argmax(errors))
+    if not errors[worst] <= MEND:
+        return np.zeros(len(breaks), bool)
+    notes.append(
+        f"{_counted(count, 'missed sample')} filled in by straight lines, which miss samples that are there by"
+        f" {errors[worst]:.2g} standard deviations or less ({names[worst]})"
+    )
+    return short
+
+
+def _errors_of_lines(table: _Rows, missed: int, dt: float) -> np.ndarray:
+    """RMS by channel (nc,), in its standard deviations, by which lines over so many samples miss the middle one of them."""
+    ahead, whole = (missed + 1) // 2, missed + 1
+    t, x = table.t, table.values
+    first = np.flatnonzero(np.abs(t[whole:] - t[:-whole] - whole * dt) <= 0.5 * dt) if len(t) > whole else np.array([], int)
+    if not len(first):
+        return np.full(x.shape[1], np.inf)
+    share = ahead / whole
+    error = x[first + ahead] - (1.0 - share) * x[first] - share * x[first + whole]
+    deviation = x.std(axis=0)
+    moves = deviation > ROUNDING * np.abs(x).max(axis=0)
+    return np.where(moves, np.sqrt(np.mean(error**2, axis=0)) / np.where(moves, deviation, 1.0), 0.0)
+
+
+def _without_holes(table: _Rows, dt: float) -> Piece:
+    """The rows with straight lines where samples were missed."""
+    steps = np.maximum(np.rint(np.diff(table.t) / dt).astype(int), 1)
+    at = np.concatenate([[0], np.cumsum(steps)])  # of every row on the grid
+    if at[-1] == len(at) - 1:
+        return Piece(table.t, table.values)
+    grid = np.arange(at[-1] + 1)
+    columns = [np.interp(grid, at, column) for column in (table.t, *table.values.T)]
+    return Piece(columns[0], np.column_stack(columns[1:]))
+
+
+def _on_a_line(table: _Rows, step: float, place: Place) -> Piece:
+    """Even stamps that are within one step of those that are there; raises InputError where there are none."""
+    k = np.arange(len(table.t))
+    slope, begin = np.polyfit(k, table.t - table.t[0], 1)
+    off = table.t - table.t[0] - slope * k
+    if slope <= 0.0 or np.ptp(off) > 1.2 * step:  # the line that fits best is not quite the true one
+        raise _error(place, table, step)
+    return Piece(table.t[0] + begin + slope * k, table.values)
+
+
+def _told(table: _Rows, pieces: Sequence[_Rows], dt: float, place: Place) -> str:
+    """That the table was cut, and where, in the words of its file."""
+    said = []
+    for before, after in itertools.pairwise(pieces):
+        step = after.t[0] - before.t[-1]
+        where = f"t = {before.t[-1]:.6g} s ({place.of(int(after.rows[0]))})"
+        said.append(f"gap of {step:.4g} s after {where}" if step > 0 else f"time goes back to {after.t[0]:.6g} s after {where}")
+    more = f", and {len(said) - SHOWN} more" if len(said) > SHOWN else ""
+    return f"{', '.join(said[:SHOWN])}{more}: cut there into records of their own"
+
+
+def _error(place: Place, table: _Rows, dt: float) -> InputError:
+    """What is wrong with stamps that cannot be mended, by the first fault."""
+    faults = list(bad_stamps(table.t, dt))
+    bad, gaps = faults[0], sum(own.fault == "gap" for own in faults)
+    index = int(table.rows[bad.index])
+    line = place.line(index) if place.line else None
+    row = place.of(index)
+    header = ", the header on top of both" if place.line else ""
+    if bad.fault == "gap":
+        problem = f"gap of {bad.after - bad.before:.6g} s before t = {bad.after:.10g} s, expected steps of {dt:.6g} s"
+        mend = f"cut it there into two files: what comes before {row}, and {row} and what follows{header}"
+        if gaps > MANY:
+            problem += f", and {gaps - 1} more such gaps"
+            mend = f"sampled at uneven steps? Write it anew every {dt:.6g} s, interpolated between the samples"
+    elif bad.fault == "repeated":
+        problem = f"time stamp {bad.after:.10g} s is repeated, expected steps of {dt:.6g} s"
+        mend = "delete the row that was logged twice, or log the time with more digits"
+    else:
+        problem = f"time goes back from {bad.before:.10g} s to {bad.after:.10g} s"
+        mend = "two runs in one file? cut it there into two files; otherwise sort the rows by time"
+    if line is None:
+        problem = f"sample {index + 1}: {problem}"
+    return InputError(problem, file=place.file, line=line, channel=place.channel, mend=mend)
