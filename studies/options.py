@@ -66,7 +66,9 @@ def _roles(sub: argparse.ArgumentParser) -> None:
 
 
 def _look(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("records", nargs="+", metavar="RECORD", help="records as a logger wrote them (CSV, TXT or MAT)")
+    sub.add_argument(
+        "records", nargs="+", metavar="RECORD", help="records as a logger wrote them (text, Excel, MAT, Parquet, TDMS, MDF)"
+    )
     _roles(sub)
     sub.add_argument("--schedule", metavar="A", help="scheduling channels (default: by name)")
     sub.add_argument("--dt", type=_seconds, metavar="S", help="sample time of files without a column of time")

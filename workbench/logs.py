@@ -67,13 +67,13 @@ class _Layout:
     first: int
 
 
-def plain(path: Path, dt: float | None = None) -> Plain | None:
-    """The text of a file written anew; None where it is no table, or there is nothing to write anew.
+def plain(path: Path, dt: float | None = None, text: str | None = None) -> Plain | None:
+    """The text of a file, or this text of it, written anew; None where it is no table, or there is nothing to write anew.
 
     dt [s]: between rows where there is no column of time, or between the numbers of a column that counts samples.
     Raises InputError, with both readings, where what was logged could mean two things.
     """
-    decoded = _decoded(path.read_bytes())
+    decoded = _decoded(path.read_bytes()) if text is None else (text, [])
     if decoded is None:
         return None
     text, notes = decoded
@@ -251,7 +251,7 @@ def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: 
     return kept
 
 
-def _time(path, names, units, cells, rows, kept, line: int, dt: float | None) -> tuple[int, float, list[str]] | None:
+def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | None) -> tuple[int, float, list[str]] | None:
     """The column of time, what its numbers are multiplied by (0: clock times), and a note where it is not in seconds already.
 
     With dt [s] it may be a column that counts samples, or ROWS. None where its times are no numbers or in no unit of time.
@@ -290,6 +290,18 @@ def _time(path, names, units, cells, rows, kept, line: int, dt: float | None) ->
         return j, known.factor, [f"{name} is in {unit}, taken as t in s"]
     plainly = names[j] in ("t", "t [s]", "time", "Time", "Zeit")
     return j, 1.0, [] if plainly else [f"{name} is taken as time in s"]
+
+
+def time_column(path: Path, names: Sequence[str], units: Sequence[str], dt: float | None) -> tuple[int, float, list[str]]:
+    """The number of the column of time, what it is multiplied by for s, and a note where it is not in s already.
+
+    dt [s]: between rows, which ROWS stands for, or between the numbers of a counter, where there is no column of time. Raises
+    InputError where there is none, or more than one, or its unit is none of time.
+    """
+    found = _time(path, names, units, [], [], range(len(names)), None, dt)
+    if found is None:
+        raise InputError(f"no column of time in s among {', '.join(names)}", file=path, mend="name it t [s]")
+    return found
 
 
 def _split(name: str) -> tuple[str, str]:

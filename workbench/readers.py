@@ -11,8 +11,6 @@ import codecs
 import io
 import math
 import re
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -23,15 +21,13 @@ import numpy as np
 from workbench.data import Channel, Experiment, Role, span_name
 from workbench.errors import InputError
 from workbench.files import write_text
-from workbench.logs import plain
+from workbench.formats import KINDS, Group, loaded, on_one_clock
+from workbench.logs import plain, time_column
 from workbench.records import record
 from workbench.stamps import Place, regular
 from workbench.units import UNITS
 
 TIME_NAMES = ("t", "time", "Time", "Zeit")
-
-#: What reads MAT files, in a process of its own.
-MAT_READER = Path(__file__).with_name("loadmat.py")
 
 #: Fewer samples than this are no record.
 SHORTEST = 3
@@ -93,7 +89,7 @@ def read_file(path: str | Path, *, inputs: Names = None, outputs: Names = None, 
 
 
 def read_records(path: str | Path, name: str = "", dt: float | None = None) -> tuple[Experiment, ...]:
-    """The records of a file: .csv, .txt and .tsv as text, .mat of version 7 or older.
+    """The records of a file: text (.csv, .txt, .tsv), MAT, Excel, Parquet, Feather, TDMS or MDF (see `formats`).
 
     It is one where its stamps have no gap, and else one for each part between them (see `stamps`). They are called `name`, by
     default the file's stem, and by their times as well where they are several. Roles come from the names (`X_set` is a
@@ -451,6 +447,52 @@ def _line_of_row(source: _Source, header: _Header, row: int) -> int:
     return next(line for k, line in enumerate(numbered) if k == row)
 
 
+# ---- files that are no text ------------------------------------------------------------------------------------------
+
+
+def _read_other(path: Path, dt: float | None) -> tuple[Experiment, ...]:
+    """A sheet as the text that it would be exported as; groups of columns on the stamps of the fastest."""
+    found = loaded(path)
+    if isinstance(found, str):
+        written = plain(path, dt, found)
+        records = _read_text(_Source(path, written.text if written else found), written.factor if written else 1.0)
+        return tuple(replace(own, notes=written.notes + own.notes) for own in records) if written else records
+    groups, notes = [], []
+    for own in _joined(found):
+        group, said = _with_stamps(path, own, dt)
+        groups.append(group)
+        notes += said
+    one, said = on_one_clock(path, groups)
+    columns: list[tuple[Channel, np.ndarray]] = []
+    for c in one.columns:
+        name, unit = name_and_unit(c.name) if name_and_unit(c.name)[0] else (c.name, "")
+        taken = {channel.name for channel, _ in columns}
+        number = next(k for k in range(1, len(taken) + 2) if (name if k == 1 else f"{name} {k}") not in taken)
+        own_name = name if number == 1 else f"{name} {number}"
+        columns.append((Channel(own_name, c.unit or unit, role_of(name)), c.values))
+    return tuple(replace(own, notes=(*notes, *said, *own.notes)) for own in _from_columns(path, one.t, columns))
+
+
+def _joined(groups: Sequence[Group]) -> list[Group]:
+    """The groups with stamps, and those without by their lengths: columns of one length belong together."""
+    free: dict[int, list[Group]] = {}
+    for own in groups:
+        if own.columns and not len(own.t):
+            free.setdefault(len(own.columns[0].values), []).append(own)
+    joined = [Group(np.zeros(0), tuple(c for own in alike for c in own.columns)) for alike in free.values()]
+    return [*(own for own in groups if len(own.t)), *joined]
+
+
+def _with_stamps(path: Path, group: Group, dt: float | None) -> tuple[Group, list[str]]:
+    """The group with the stamps that one of its columns holds."""
+    if len(group.t):
+        return group, []
+    k, factor, notes = time_column(path, [c.name for c in group.columns], [c.unit for c in group.columns], dt)
+    count = len(group.columns[0].values)
+    t = factor * (group.columns[k].values if k >= 0 else np.arange(count))
+    return Group(t, tuple(c for j, c in enumerate(group.columns) if j != k)), notes
+
+
 # ---- MAT -------------------------------------------------------------------------------------------------------------
 
 
@@ -471,21 +513,9 @@ def _read_mat(path: Path, dt: float | None) -> tuple[Experiment, ...]:
 
 def _variables(path: Path) -> dict[str, np.ndarray]:
     """Real numeric variables by name, vectors as one column (N, 1)."""
-    with open(path, "rb") as stream:
-        start = stream.read(520)
-    if b"MATLAB 7.3" in start or b"\x89HDF" in start:
-        raise InputError("is a MAT file of version 7.3", file=path, mend="save it in MATLAB with save(..., '-v7')")
-    words = [sys.executable, "-I", str(MAT_READER), str(path)]
-    done = subprocess.run(words, capture_output=True, check=False)
-    if done.returncode:
-        reason = (
-            done.stderr.decode(errors="replace").strip().splitlines()[-1:] if done.returncode > 0 else ["crash of its reader"]
-        )
-        raise InputError(
-            f"cannot be read as a MAT file ({', '.join(reason)})", file=path, mend="is the file whole? save with -v7"
-        )
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as content:
-        arrays = {str(name): content[f"arr_{i}"] for i, name in enumerate(content["arr_0"], 1)}
+    found = loaded(path)
+    assert not isinstance(found, str)
+    arrays = {c.name: c.values for group in found for c in group.columns}
     return {name: array.reshape(-1, 1) if 1 in array.shape else array for name, array in arrays.items()}
 
 
@@ -547,4 +577,4 @@ def _from_columns(path: Path, t: np.ndarray, columns: Sequence[tuple[Channel, np
     return _records(t, channels, values, Place(path, "t"))
 
 
-READERS = {".csv": _read_csv, ".txt": _read_csv, ".tsv": _read_csv, ".mat": _read_mat}
+READERS = dict.fromkeys((".csv", ".txt", ".tsv"), _read_csv) | dict.fromkeys(KINDS, _read_other) | {".mat": _read_mat}

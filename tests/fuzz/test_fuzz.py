@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from tests.fuzz.spoil import spoilt
 from tests.fuzz.targets import targets
-from workbench import readers
+from workbench import formats, readers
 from workbench.errors import InputError
 
 JSON = ("model", "hammerstein", "interval", "pid", "mpc", "extension", "diagnosis", "counterexample", "sequence", "report")
@@ -111,7 +111,7 @@ def test_a_weight_whose_products_are_beyond_all_floats_is_a_refusal(every, tmp_p
 def test_a_crash_of_the_reader_of_mat_files_is_a_refusal(tmp_path, monkeypatch):
     killer = tmp_path / "killer.py"
     killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
-    monkeypatch.setattr(readers, "MAT_READER", killer)
+    monkeypatch.setattr(formats, "LOADER", killer)
     (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0")
     with pytest.raises(InputError, match=r"(?s)cannot be read as a MAT file \(crash of its reader\).*is the file whole"):
         readers.read_file(tmp_path / "a.mat")

@@ -13,7 +13,8 @@ def log(tmp_path):
     """A laboratory's log: German, in ms, with units below the names, a remark, and a logger that stood still for a while."""
     lines = ["sep=;", "Prüfstand 3", "Zeit;U;n;Bemerkung", "ms;V;1/min;"]
     for k in [*range(400), *range(600, 1000)]:
-        lines.append(f"{5 * k};{3 * np.sign(np.sin(k / 30)):.1f};{900 * np.sin(k / 40):.1f};{'start' * (k == 0)}".replace(".", ","))
+        u, n = 3 * np.sign(np.sin(k / 30)), 900 * np.sin(k / 40)
+        lines.append(f"{5 * k};{u:.1f};{n:.1f};{'start' * (k == 0)}".replace(".", ","))
     path = tmp_path / "log.csv"
     path.write_bytes("\r\n".join(lines).encode("cp1252"))
     return path

@@ -334,7 +334,7 @@ def test_bad_mat_files_are_told_apart(tmp_path):
     assert "cannot be read as a MAT file" in refusal(put(tmp_path, "t,y\n" * 99, "a.mat")).problem
     new = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n"
     error = refusal(put(tmp_path, new, "a.mat"))
-    assert "version 7.3" in error.problem
+    assert "cannot be read as a MAT file (OSError)" in error.problem
     assert "-v7" in error.mend
     layout = mat(tmp_path, t=ramp, vir=ramp, gtau=1.0, qm=np.ones(4), qg=ramp)
     assert "4 samples of qm, expected 5" in refusal(layout).problem
