@@ -40,6 +40,8 @@ PARTS = 4
 DEEPEST, COLOUR = 10, 1.6
 #: Share of its variance by which an input that repeats may differ from one period to the next.
 REPEATS = 1e-5
+#: Samples from which the levels of a channel are told.
+ENOUGH = 200_000
 #: Largest magnitude that is still plausible in a unit; above it, the unit is probably another one.
 PLAUSIBLE = {"m": (20.0, "mm"), "rad": (300.0, "deg"), "rad/s": (1000.0, "rpm"), "deg": (36000.0, "counts")}
 
@@ -286,7 +288,7 @@ def _feedback(experiment: Experiment) -> Iterator[Advice]:
 
 def quantum(values: np.ndarray) -> float:
     """Largest step q with values = offset + integer q to 5 % of q: the resolution of a channel (N,); 0 if there is none."""
-    levels = np.unique(values)
+    levels = np.unique(_thinned(values))
     if len(levels) < 8:
         return 0.0
     steps = np.diff(levels)
@@ -296,6 +298,11 @@ def quantum(values: np.ndarray) -> float:
     q = float(near.sum() / np.round(near / smallest).sum())
     off = np.abs(steps / q - np.round(steps / q))
     return q if np.mean(off < 0.05) > 0.99 else 0.0
+
+
+def _thinned(values: np.ndarray) -> np.ndarray:
+    """At most ENOUGH of the values (N,), evenly."""
+    return values[:: max(-(-len(values) // ENOUGH), 1)]
 
 
 def _noise(values: np.ndarray) -> float:
@@ -333,11 +340,13 @@ def _constant(experiment: Experiment) -> Iterator[Advice]:
 
 def _clipped(experiment: Experiment) -> Iterator[Advice]:
     for channel, x in _of(experiment, "input", "output", "schedule", "other"):
-        levels, counts = np.unique(x, return_counts=True)
-        if len(levels) < 20:
+        if len(np.unique(_thinned(x))) < 20 and len(np.unique(x)) < 20:
             continue  # a few levels: a switched signal, not a clipped one
-        for at, extreme in (("upper", 1), ("lower", 0)):
-            level, count, next_count = (levels[-1], counts[-1], counts[-2]) if extreme else (levels[0], counts[0], counts[1])
+        for at, sign in (("upper", 1.0), ("lower", -1.0)):
+            level = sign * float(np.max(sign * x))
+            count = int(np.count_nonzero(x == level))
+            following = float(np.max(sign * x, where=x != level, initial=-np.inf))
+            next_count = int(np.count_nonzero(sign * x == following))
             if count > max(0.01 * len(x), 5 * next_count, 5) and _longest_run(x == level) >= 4:
                 commanded = channel.has_role("input")
                 what = "if something else acted on the machine, log that" if commanded else "beyond it the sensor says nothing"

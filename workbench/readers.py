@@ -220,7 +220,11 @@ def _read_text(source: _Source, factor: float = 1.0) -> tuple[Experiment, ...]:
     kept = [k for k in range(len(header.names)) if k != header.time]
     channels = tuple(Channel(header.names[k], header.units[k], role_of(header.names[k])) for k in kept)
     place = Place(path, header.names[header.time], lambda row: _line_of_row(source, header, row))
-    return _records(t, channels, table[:, kept], place)
+    values = table[:, kept]
+    del table  # of a long file there is not room for many
+    for own in (t, values):
+        own.setflags(write=False)  # so that no record copies it
+    return _records(t, channels, values, place)
 
 
 def _records(t: np.ndarray, channels: tuple[Channel, ...], values: np.ndarray, place: Place) -> tuple[Experiment, ...]:

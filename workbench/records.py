@@ -46,11 +46,19 @@ def record(cls: type) -> Any:
     return dataclasses.dataclass(frozen=True, eq=False)(cls)
 
 
+def _settled(value: Any) -> bool:
+    """Whether a value is an array that nobody can change any more: records hand such ones on without a copy."""
+    if not isinstance(value, np.ndarray) or type(value) is not np.ndarray or value.dtype != float:
+        return False
+    owner = value if value.base is None else value.base
+    return isinstance(owner, np.ndarray) and not (value.flags.writeable or owner.flags.writeable)
+
+
 def _checked(owner: str, f: dataclasses.Field, value: Any, sizes: dict[str, tuple[int, str]]) -> Any:
     place = f"{owner}.{f.name}"
     names = f.metadata["shape"].split()
     try:
-        array = np.array(value, dtype=float)
+        array = value if _settled(value) else np.array(value, dtype=float)
     except (TypeError, ValueError) as reason:
         raise RecordError(f"{place}: not numbers ({reason}); expected shape ({', '.join(names)})") from None
     if names[-1:] == ["..."]:

@@ -73,3 +73,21 @@ def test_a_check_of_its_own_runs_after_the_fields_were_checked():
     Sum([0.5, 0.5])
     with pytest.raises(RecordError, match="do not sum"):
         Sum([0.5])
+
+
+def test_an_array_that_nobody_can_change_is_handed_on_and_any_other_copied():
+    @record
+    class Row:
+        x: np.ndarray = field("N")
+
+    own = np.arange(3.0)
+    first = Row(own)
+    own[0] = 9.0
+    assert first.x[0] == 0.0
+    assert Row(first.x).x is first.x
+    assert Row(first.x[1:]).x.base is first.x
+    view = own[:]
+    view.setflags(write=False)  # the array behind it may still change
+    second = Row(view)
+    own[1] = 9.0
+    assert second.x[1] == 1.0

@@ -28,7 +28,7 @@ from workbench.sources import Names, read, read_files
 LOOK_FILE = "look.json"
 LEVELS = 12  # a channel of so many values at most is told by them
 HELD = 3.0  # samples that a channel keeps its value on the average, from which on it is told as held
-TRIED = 200_000  # samples that a resolution is told from
+TRIED = 200_000  # samples from which it is told how a channel moves
 DRAWN = 8  # records that have pictures
 WINDOW = 16_384  # samples of a spectrum at most
 
@@ -228,8 +228,8 @@ def _facts(records: Dataset, channel: Channel) -> ChannelFacts:
     mean = math.fsum(float(x.sum()) for x in parts) / count
     deviation = math.sqrt(math.fsum(float(np.sum((x - mean) ** 2)) for x in parts) / count)
     low, high = min(float(x.min()) for x in parts), max(float(x.max()) for x in parts)
-    longest = max(parts, key=len)[:TRIED]
-    return ChannelFacts(channel, low, high, mean, deviation, quantum(longest), _moves(longest, low, high))
+    longest = max(parts, key=len)
+    return ChannelFacts(channel, low, high, mean, deviation, quantum(longest), _moves(longest[:TRIED], low, high))
 
 
 def _moves(x: np.ndarray, low: float, high: float) -> str:
@@ -276,8 +276,10 @@ def _spectra(e: Experiment) -> Block:
     from scipy.signal import welch
 
     window = min(len(e), WINDOW, max(256, len(e) // 4))
-    frequency, power = welch(e.values, 1.0 / e.dt, nperseg=window, detrend="linear", axis=0)
-    densities = [Trace(Channel(c.name, f"{c.unit or '1'}/sqrt(Hz)"), np.sqrt(power[1:, k])) for k, c in enumerate(e.channels)]
+    densities, frequency = [], np.zeros(0)
+    for c in e.channels:  # one after the other: windows are copies
+        frequency, power = welch(e[c.name], 1.0 / e.dt, nperseg=window)
+        densities.append(Trace(Channel(c.name, f"{c.unit or '1'}/sqrt(Hz)"), np.sqrt(power[1:])))
     caption = f"Amplitude densities of {e.name}, the longest record (Welch, windows of {window} samples)."
     return figures.spectra("Spectra", frequency[1:], densities, caption)
 

@@ -16,15 +16,17 @@ def extremes(x: np.ndarray, y: np.ndarray, columns: int) -> np.ndarray:
     width = x[-1] - x[0]
     share = (x - x[0]) / width if width > 0 else np.arange(N) / N
     column = np.minimum((share * columns).astype(int), columns - 1)
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
     finite = np.isfinite(y)
-    low = _first_of_each(column, np.where(finite, y, np.inf))
-    high = _first_of_each(column, np.where(finite, -y, np.inf))
-    gap = _first_of_each(column, finite.astype(float))
+    low = _first_of_each(starts, np.where(finite, y, np.inf))
+    high = _first_of_each(starts, np.where(finite, -y, np.inf))
+    gap = _first_of_each(starts, finite.astype(float)) if not finite.all() else np.array([], int)
     return np.unique(np.concatenate([[0, N - 1], low, high, gap[~finite[gap]]]))
 
 
-def _first_of_each(column: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """Of each column, the index of the sample of the lowest rank, the earliest of equals."""
-    order = np.lexsort((rank, column))
-    first = np.r_[True, np.diff(column[order]) > 0]
-    return order[first]
+def _first_of_each(starts: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """Of each stretch that begins at `starts`, the index of the sample of the lowest rank, the earliest of equals."""
+    lowest = np.minimum.reduceat(rank, starts)
+    hits = np.flatnonzero(rank == np.repeat(lowest, np.diff(starts, append=len(rank))))
+    stretch = np.searchsorted(starts, hits, side="right")
+    return hits[np.diff(stretch, prepend=0) > 0]

@@ -44,6 +44,8 @@ def kind_of(data: Data) -> str:
 
 def numbers_of(column: Column) -> np.ndarray | None:
     """The values as numbers, NaN where there are none; None where one of them is a text."""
+    if isinstance(column.values, np.ndarray) and column.values.dtype.kind in "fiu":
+        return np.where(np.isinf(column.values), np.nan, column.values).astype(float)
     try:
         values = np.array([np.nan if v is None or v == "" else v for v in column.values], dtype=float)
     except (TypeError, ValueError):
