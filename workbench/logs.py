@@ -101,11 +101,11 @@ def plain(path: Path, dt: float | None = None, text: str | None = None) -> Plain
     notes += said
     stamps = {} if factor else _clock(path, names, cells, rows, column)
     written = [""] * len(lines)
-    for number, k in enumerate(rows):
+    for count, k in enumerate(rows):
         if len(cells[k]) < len(names):
             problem, mend = f"{len(cells[k])} cells, expected {len(names)}", "the line is cut off: complete it or delete it"
             raise InputError(problem, file=path, line=k + 1, channel=_split(names[len(cells[k])])[0] or None, mend=mend)
-        own = [str(number)] * (column == ROWS) + [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept]
+        own = [str(count)] * (column == ROWS) + [stamps.get(k, cells[k][j]) if j == column else cells[k][j] for j in kept]
         written[k] = ";".join([*own, *cells[k][len(names) :]])  # more cells than names: refused there
     heads = [f"{names[j]} [{units[j]}]" if units[j] and j != column else names[j] for j in kept]
     heads = ["t [s]"] * (column == ROWS) + ["t [s]" if j == column else head for j, head in zip(kept, heads, strict=True)]
@@ -185,12 +185,16 @@ def _measured(row: Sequence[str], delimiter: str | None) -> bool:
     return numbers >= 2 and 2 * numbers >= len(filled)
 
 
-def _is_number(cell: str, commas: bool) -> bool:
+def number(text: str) -> float | None:
+    """The number that a text is; None where it is none."""
     try:
-        float(cell.replace(",", ".") if commas else cell)
+        return None if "_" in text else float(text)
     except ValueError:
-        return False
-    return "_" not in cell
+        return None
+
+
+def _is_number(cell: str, commas: bool) -> bool:
+    return number(cell.replace(",", ".") if commas else cell) is not None
 
 
 def _are_units(row: Sequence[str]) -> bool:

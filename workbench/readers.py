@@ -22,7 +22,7 @@ from workbench.data import Channel, Experiment, Role, span_name
 from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.formats import KINDS, Group, loaded, on_one_clock
-from workbench.logs import plain, time_column
+from workbench.logs import number, plain, time_column
 from workbench.records import record
 from workbench.stamps import Place, regular
 from workbench.units import UNITS
@@ -126,7 +126,7 @@ def write_csv(experiment: Experiment, path: str | Path) -> Path:
     """
     for channel in experiment.channels:
         cell = _HEADER_CELL.fullmatch(str(channel))
-        if not cell or cell[1] != channel.name or channel.name in ("", *TIME_NAMES) or _number(channel.name) is not None:
+        if not cell or cell[1] != channel.name or channel.name in ("", *TIME_NAMES) or number(channel.name) is not None:
             raise InputError(
                 "cannot stand in a CSV header",
                 file=path,
@@ -246,7 +246,7 @@ def _header(source: _Source) -> _Header:
     path, (line, text) = source.path, _first_line(source)
     delimiter = next((d for d in (";", "\t") if d in text), ",")
     cells = [cell.strip().strip('"').strip() for cell in text.split(delimiter)]
-    if all(_number(word) is not None for cell in cells for word in cell.split()):
+    if all(number(word) is not None for cell in cells for word in cell.split()):
         raise InputError(
             "no header: the first row holds numbers only",
             file=path,
@@ -254,10 +254,10 @@ def _header(source: _Source) -> _Header:
             mend="put the channel names in the first row, such as: t [s],u [V],y [rad/s]",
         )
     names, units = [], []
-    for number, cell in enumerate(cells, 1):
+    for k, cell in enumerate(cells, 1):
         name, unit = name_and_unit(cell)
         if not name:
-            problem = f"column {number} has no name" if not cell else f"column {number}: {cell!r} is no channel name"
+            problem = f"column {k} has no name" if not cell else f"column {k}: {cell!r} is no channel name"
             mend = "write name [unit], the unit in brackets or left out; no delimiter at the end of the line"
             raise InputError(problem, file=path, line=line, mend=mend)
         names.append(name)
@@ -420,7 +420,7 @@ def _wrong_count(path: Path, header: _Header, line: int, cells: list[str]) -> In
 
 def _cell(path: Path, header: _Header, line: int, k: int, text: str, commas: bool) -> float:
     text = text.strip()
-    value = _number(text.translate(_POINTS) if commas else text)
+    value = number(text.translate(_POINTS) if commas else text)
     if value is not None and math.isfinite(value):
         return value
     mend = "repair the value, or cut the record there into two files"
@@ -437,13 +437,6 @@ def _cell(path: Path, header: _Header, line: int, k: int, text: str, commas: boo
     else:
         problem, mend = f"text {text[:40]!r}, expected a number", "write a plain number with a decimal point"
     raise InputError(problem, file=path, line=line, channel=header.names[k], mend=mend)
-
-
-def _number(text: str) -> float | None:
-    try:
-        return None if "_" in text else float(text)
-    except ValueError:
-        return None
 
 
 def _line_of_row(source: _Source, header: _Header, row: int) -> int:
