@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from workbench.data import bad_stamps
 from workbench.errors import InputError
 from workbench.records import field, record
+from workbench.stamps import Place, Regular, regular
 
 LOADER = Path(__file__).with_name("loadfile.py")
 
@@ -30,7 +30,9 @@ KINDS = {
 EXTRAS = {"excel": "excel", "mat": "hdf5", "parquet": "parquet", "feather": "parquet", "tdms": "tdms", "mdf": "mdf"}
 CALLED = {"excel": "an Excel", "mat": "a MAT", "parquet": "a Parquet", "feather": "a Feather", "tdms": "a TDMS", "mdf": "an MDF"}
 MENDS = {"mat": "is the file whole? save with -v7", "excel": "is the file whole? export the sheet as CSV"}
-SAME = 1e-9  # of a step, by which stamps of two groups may differ
+SAME = 1e-6  # of a step, by which stamps of two groups may differ
+FEWEST = 5  # samples of a group that is no list of events
+SHARE = 0.5  # of the longest group's time, that others must cover
 
 
 @record
@@ -44,10 +46,14 @@ class Column:
 
 @record
 class Group:
-    """Columns of one length with their stamps t [s]; t is empty where the file has none apart from the columns."""
+    """Columns of one length with their stamps t [s]; t is empty where the file has none apart from the columns.
+
+    left: names of what is no column of numbers.
+    """
 
     t: np.ndarray = field("N")
     columns: tuple[Column, ...]
+    left: tuple[str, ...] = ()
 
 
 def loaded(path: Path) -> list[Group] | str:
@@ -66,47 +72,81 @@ def loaded(path: Path) -> list[Group] | str:
         head = json.loads(str(content["arr_0"]))
         if isinstance(head, str):
             return head
-        return [
-            Group(
+        found = [
+            (
                 np.zeros(0) if own["time"] is None else content[f"arr_{own['time']}"],
                 tuple(Column(name, unit, content[f"arr_{k}"]) for name, unit, k in own["columns"]),
+                tuple(own["left"]),
             )
             for own in head
         ]
+    for t, columns, _ in found:
+        if not np.isfinite(t).all():
+            first = int(np.flatnonzero(~np.isfinite(t))[0])
+            names = ", ".join(c.name for c in columns)
+            raise InputError(f"sample {first + 1} of {names} has no time", file=path, mend="delete the row, or give it its time")
+    return [Group(*own) for own in found]
 
 
 def on_one_clock(path: Path, groups: Sequence[Group]) -> tuple[Group, list[str]]:
     """All columns on the stamps of the fastest group, and what was done, in sentences.
 
-    Slower ones are straight lines between their samples, within the time that all groups cover. Raises InputError for groups
-    that share no time, and for gaps in slower ones, over which nothing is drawn.
+    Each group is brought to a constant rate first. Slower ones are straight lines between their samples, within the time that all
+    groups cover. Left out, and said so, are groups that are much shorter than the longest, and slower ones with gaps, over which
+    nothing is drawn.
     """
-    groups = [own for own in groups if len(own.t) > 2 and own.columns]
-    if not groups:
-        raise InputError("holds no numbers over time", file=path, mend="is the file whole?")
-    base = min(groups, key=_step)
-    low, high = max(own.t[0] for own in groups), min(own.t[-1] for own in groups)
-    within = (base.t >= low - SAME * _step(base)) & (base.t <= high + SAME * _step(base))
+    own = [group for group in groups if len(group.t) and group.columns]
+    if len(own) == 1:
+        return own[0], []
+    longest = max((group.t[-1] - group.t[0] for group in own), default=0.0)
+    notes: list[str] = []
+    kept: list[tuple[Regular, Group]] = []
+    for group in own:
+        names = ", ".join(c.name for c in group.columns)
+        if len(group.t) < FEWEST or group.t[-1] - group.t[0] < SHARE * longest:
+            notes.append(f"{names}: {len(group.t)} samples only, left out")
+            continue
+        place = Place(path, f"time of {names}")
+        values = np.column_stack([_finite(path, c) for c in group.columns])
+        try:
+            kept.append((regular(group.t, values, [c.name for c in group.columns], place), group))
+        except InputError as reason:
+            notes.append(f"{names}: left out ({reason.problem})")
+    if not kept:
+        raise InputError("; ".join(notes) or "holds no numbers over time", file=path, mend="is the file whole?")
+    base = min(kept, key=lambda pair: pair[0].dt)
+    t = np.concatenate([piece.t for piece in base[0].pieces])
+    if (np.diff(t) <= 0).any():
+        raise InputError("time goes back", file=path, channel=base[1].columns[0].name, mend="cut the file there")
+    low, high = (end(p.pieces[k].t[k] for p, _ in kept) for end, k in ((max, 0), (min, -1)))
+    within = (t >= low - SAME * base[0].dt) & (t <= high + SAME * base[0].dt)
     if within.sum() < 3:
         mend = "save the channels that belong together in a file of their own"
         raise InputError("its groups of channels share no time", file=path, mend=mend)
-    t, columns, slower = base.t[within], [], []
-    for own in groups:
-        same = len(own.t) == len(base.t) and np.abs(own.t - base.t).max() <= SAME * _step(base)
+    columns: list[Column] = []
+    slower: list[str] = []
+    for found, group in kept:
+        names = ", ".join(c.name for c in group.columns)
+        stamps = np.concatenate([piece.t for piece in found.pieces])
+        values = np.vstack([piece.values for piece in found.pieces])
+        notes += [f"{names}: {note}" for note in found.notes]
+        same = len(stamps) == len(t) and np.abs(stamps - t).max() <= SAME * found.dt
+        if not same and len(found.pieces) > 1:
+            notes.append(f"{names}: left out, for nothing is drawn over gaps")
+            continue
         if not same:
-            bad = next(bad_stamps(own.t, _step(own)), None)
-            if bad:
-                names = ", ".join(c.name for c in own.columns)
-                mend = "leave these channels out, or cut the file there"
-                raise InputError(f"{bad.fault} stamp at {bad.after:g} s", file=path, channel=names, mend=mend)
-            slower.append(f"{', '.join(c.name for c in own.columns)} (every {_step(own):.4g} s)")
-        for c in own.columns:
-            columns.append(Column(c.name, c.unit, c.values[within] if same else np.interp(t, own.t, c.values)))
-    notes = [f"straight lines between the samples of {'; '.join(slower)}"] if slower else []
+            slower.append(f"{names} (every {found.dt:.4g} s)")
+        for j, c in enumerate(group.columns):
+            columns.append(Column(c.name, c.unit, values[within, j] if same else np.interp(t[within], stamps, values[:, j])))
+    notes += [f"straight lines between the samples of {'; '.join(slower)}"] if slower else []
     if not within.all():
         notes.append(f"taken from {low:g} to {high:g} s, where all channels are")
-    return Group(t, tuple(columns)), notes
+    return Group(t[within], tuple(columns)), notes
 
 
-def _step(group: Group) -> float:
-    return float(np.median(np.diff(group.t)))
+def _finite(path: Path, column: Column) -> np.ndarray:
+    bad = np.flatnonzero(~np.isfinite(column.values))
+    if len(bad):
+        mend = "repair the value, or leave the channel out"
+        raise InputError(f"sample {bad[0] + 1} is no valid number", file=path, channel=column.name, mend=mend)
+    return column.values

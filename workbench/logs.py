@@ -18,6 +18,8 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from workbench.errors import InputError
 from workbench.records import record
 from workbench.units import UNITS
@@ -31,7 +33,7 @@ NUMERIC = 0.5  # share of the cells of a column that are numbers, from which on 
 DAY = 86400.0
 
 #: Names of time, and those that say nothing of its unit.
-CLOCKS = ("t", "time", "zeit", "elapsed", "elapsed time")
+CLOCKS = ("t", "time", "zeit", "elapsed", "elapsed time", "x_value")
 COUNTERS = ("sample", "samples", "sample number", "index", "counter", "count", "row", "#", "no", "no.", "nr", "nr.")  # of samples
 ROWS = -1  # in place of a column: the rows are counted
 DATES = ("date", "datum")  # of clock times in a column of their own
@@ -39,6 +41,7 @@ TAGS = ("tag", "tagname", "tag name", "signal", "variable", "item", "channel")  
 STAMPS = ("timestamp", "time stamp", "time_stamp", "zeitstempel", "datetime", "date time", "date/time", "uhrzeit", "clock")
 SUFFIXED = re.compile(rf"(?i:({'|'.join(map(re.escape, (*CLOCKS[1:], *STAMPS)))})[ _]?(s|ms|us|min|h))|(t)_(s|ms|us)")
 FACTORS = tuple(unit for unit, own in UNITS.items() if own.quantity == "time")
+OTHERS = ("%", "°C", "degC", "K", "1")  # units that a row below the names may have, too
 SPELLINGS = {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us", "minutes": "min"}
 
 _MARKED = re.compile(r"[-+\u2212]?\d[\d.,' \u00a0]*")
@@ -200,7 +203,7 @@ def _is_number(cell: str, commas: bool) -> bool:
 def _are_units(row: Sequence[str]) -> bool:
     """Whether cells are units: half of them known ones or in brackets, the others short."""
     filled = [cell for cell in row if _inner(cell)]
-    known = sum(_inner(cell) != cell or cell in UNITS or cell in SPELLINGS for cell in filled)
+    known = sum(_inner(cell) != cell or cell in UNITS or cell in SPELLINGS or cell in OTHERS for cell in filled)
     numbers = any(_is_number(cell, True) for cell in filled if cell != "1")
     return 2 * known >= len(filled) > 0 and not numbers and all(len(_inner(cell)) <= SHORT for cell in filled)
 
@@ -242,6 +245,8 @@ def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: 
         slow = numbers == sum(map(bool, own))  # of another rate: numbers and empty cells
         if not any(own):
             notes += [f"{name}: an empty column left out"] if name else ["an empty column left out"]
+        elif name.lower() in DATES and not numbers and all(_is_date(cell) for cell in own if cell):
+            notes.append(f"{name} holds dates")
         elif numbers < NUMERIC * len(own) and (slow or not marked):
             if name.lower() in TAGS and len(set(own)) > 1 and any(other.lower() == "value" for other in names):
                 mend = f"give each {name} a column of its own"
@@ -272,7 +277,7 @@ def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | N
     if len(found) != 1:
         if any(_split(name)[0].lower() in (*CLOCKS, *STAMPS) for k, name in enumerate(names) if k not in kept):
             return None  # its times are no numbers: the first of them is refused
-        counter = next((j for j in kept if names[j].lower() in COUNTERS), None)
+        counter = next((j for j in kept if names[j].lower() in COUNTERS and _counting(cells, rows, j)), None)
         if dt and not found:
             if counter is None:
                 return ROWS, dt, [f"no time column: a sample every {dt:g} s, as asked"]
@@ -294,6 +299,18 @@ def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | N
         return j, known.factor, [f"{name} is in {unit}, taken as t in s"]
     plainly = names[j] in ("t", "t [s]", "time", "Time", "Zeit")
     return j, 1.0, [] if plainly else [f"{name} is taken as time in s"]
+
+
+def counts(values: np.ndarray) -> bool:
+    """Whether values (N,) are those of a counter of samples: most go up by one."""
+    steps = np.diff(values)
+    return bool(len(steps)) and bool(np.mean(steps == 1.0) > NUMERIC)
+
+
+def _counting(cells: Sequence[Sequence[str]], rows: Sequence[int], column: int) -> bool:
+    """Whether a column counts samples; rows: none where that is told later."""
+    values = [number(cells[k][column].replace(",", ".")) for k in rows if column < len(cells[k])]
+    return not rows or (None not in values and counts(np.array(values, float)))
 
 
 def time_column(path: Path, names: Sequence[str], units: Sequence[str], dt: float | None) -> tuple[int, float, list[str]]:
@@ -347,11 +364,21 @@ def _clock(path, names: Sequence[str], cells, rows: Sequence[int], column: int) 
     return found
 
 
+def _is_date(cell: str) -> bool:
+    return any(_read_date(cell, form) for form in _DATES)
+
+
+def _read_date(cell: str, form: str) -> datetime | None:
+    try:
+        return datetime.strptime(cell, form)
+    except ValueError:
+        return None
+
+
 def _day(date: str, first: str) -> float:
     """Seconds from midnight of one date to that of another; 0 where they cannot be read in one way only."""
     for form in _DATES:
-        try:
-            return (datetime.strptime(date, form) - datetime.strptime(first, form)).total_seconds()
-        except ValueError:
-            continue
+        own, begin = _read_date(date, form), _read_date(first, form)
+        if own and begin:
+            return (own - begin).total_seconds()
     return 0.0

@@ -22,7 +22,7 @@ from workbench.data import Channel, Experiment, Role, span_name
 from workbench.errors import InputError
 from workbench.files import write_text
 from workbench.formats import KINDS, Group, loaded, on_one_clock
-from workbench.logs import number, plain, time_column
+from workbench.logs import ROWS, counts, number, plain, time_column
 from workbench.records import record
 from workbench.stamps import Place, regular
 from workbench.units import UNITS
@@ -32,6 +32,7 @@ TIME_NAMES = ("t", "time", "Time", "Zeit")
 #: Fewer samples than this are no record.
 SHORTEST = 3
 YEARS = 1e11  # s: milliseconds since 1970 are more, seconds are not
+DAYS, PER_DAY = 1e4, 1.5e-5  # days since 1900 or 0 are more, and steps of a second are less of a day
 
 #: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
 ROLES: tuple[tuple[str, Role], ...] = (
@@ -213,10 +214,6 @@ def _read_text(source: _Source, factor: float = 1.0) -> tuple[Experiment, ...]:
             mend="is the file whole?",
         )
     t = factor * table[:, header.time]
-    if abs(t[0]) > YEARS:
-        name = header.names[header.time]
-        mend = f"write {name} [ms] in the header, or {name} [us]"
-        raise InputError(f"{t[0]:g} s is no time of this age", file=path, line=header.line, channel=name, mend=mend)
     kept = [k for k in range(len(header.names)) if k != header.time]
     channels = tuple(Channel(header.names[k], header.units[k], role_of(header.names[k])) for k in kept)
     place = Place(path, header.names[header.time], lambda row: _line_of_row(source, header, row))
@@ -228,9 +225,17 @@ def _read_text(source: _Source, factor: float = 1.0) -> tuple[Experiment, ...]:
 
 
 def _records(t: np.ndarray, channels: tuple[Channel, ...], values: np.ndarray, place: Place) -> tuple[Experiment, ...]:
-    """Samples as one record, or as one for each part between gaps."""
-    names = [channel.name for channel in channels]
-    found = regular(t, values, names, place)
+    """Samples as one record, or as one for each part between gaps. Stamps that are no seconds are refused."""
+    line = place.line(0) - 1 if place.line else None
+    if abs(t[0]) > YEARS:
+        mend = f"write {place.channel} [ms] in the header, or {place.channel} [us]"
+        raise InputError(f"{t[0]:g} s is no time of this age", file=place.file, line=line, channel=place.channel, mend=mend)
+    found = regular(t, values, [channel.name for channel in channels], place)
+    if abs(t[0]) > DAYS and found.dt < PER_DAY:
+        mend = f"if it is in days, multiply it by 86400 and write {place.channel} [s]"
+        raise InputError(
+            f"steps of {found.dt:.3g} s at {t[0]:.6g} s: is it in days?", file=place.file, channel=place.channel, mend=mend
+        )
     return tuple(Experiment(str(place.file), own.t, channels, own.values, found.dt, notes=found.notes) for own in found.pieces)
 
 
@@ -454,15 +459,15 @@ def _read_other(path: Path, dt: float | None) -> tuple[Experiment, ...]:
         written = plain(path, dt, found)
         records = _read_text(_Source(path, written.text if written else found), written.factor if written else 1.0)
         return tuple(replace(own, notes=written.notes + own.notes) for own in records) if written else records
-    groups, notes = [], []
-    for own in _joined(found):
-        group, said = _with_stamps(path, own, dt)
-        groups.append(group)
-        notes += said
+    groups, notes = _with_stamps(path, [own for own in found if own.columns], dt)
+    left = [name for own in found for name in own.left]
+    notes += [f"left out, for they are no numbers: {', '.join(left)}"] if left else []
     one, said = on_one_clock(path, groups)
     columns: list[tuple[Channel, np.ndarray]] = []
     for c in one.columns:
-        name, unit = name_and_unit(c.name) if name_and_unit(c.name)[0] else (c.name, "")
+        name, unit = name_and_unit(c.name)
+        if not name or unit.isdigit():  # of a vector
+            name, unit = (f"{name} {unit}" if name else c.name), ""
         taken = {channel.name for channel, _ in columns}
         number = next(k for k in range(1, len(taken) + 2) if (name if k == 1 else f"{name} {k}") not in taken)
         own_name = name if number == 1 else f"{name} {number}"
@@ -470,27 +475,30 @@ def _read_other(path: Path, dt: float | None) -> tuple[Experiment, ...]:
     return tuple(replace(own, notes=(*notes, *said, *own.notes)) for own in _from_columns(path, one.t, columns))
 
 
-def _joined(groups: Sequence[Group]) -> list[Group]:
-    """The groups with stamps, and those without by their lengths: columns of one length belong together."""
-    free: dict[int, list[Group]] = {}
+def _with_stamps(path: Path, groups: Sequence[Group], dt: float | None) -> tuple[list[Group], list[str]]:
+    """The groups with the stamps that one of their columns holds; what has none is left out where others have, and said."""
+    made, notes, faults = [], [], []
     for own in groups:
-        if own.columns and not len(own.t):
-            free.setdefault(len(own.columns[0].values), []).append(own)
-    joined = [Group(np.zeros(0), tuple(c for own in alike for c in own.columns)) for alike in free.values()]
-    return [*(own for own in groups if len(own.t)), *joined]
-
-
-def _with_stamps(path: Path, group: Group, dt: float | None) -> tuple[Group, list[str]]:
-    """The group with the stamps that one of its columns holds."""
-    if len(group.t):
-        return group, []
-    k, factor, notes = time_column(path, [c.name for c in group.columns], [c.unit for c in group.columns], dt)
-    count = len(group.columns[0].values)
-    t = factor * (group.columns[k].values if k >= 0 else np.arange(count))
-    return Group(t, tuple(c for j, c in enumerate(group.columns) if j != k)), notes
-
-
-# ---- MAT -------------------------------------------------------------------------------------------------------------
+        if len(own.t):
+            made.append(own)
+            continue
+        names = [c.name for c in own.columns]
+        try:
+            k, factor, said = time_column(path, names, [c.unit for c in own.columns], dt)
+        except InputError as reason:
+            faults.append(reason)
+            notes.append(f"{', '.join(names)}: no time, left out")
+            continue
+        if k >= 0 and factor == dt and not counts(own.columns[k].values):
+            k, said = ROWS, [f"no time column: a sample every {dt:g} s, as asked"]
+        t = factor * (own.columns[k].values if k != ROWS else np.arange(len(own.columns[0].values)))
+        if not np.isfinite(t).all():
+            raise InputError("has no number in each row", file=path, channel=names[k], mend="delete such rows")
+        notes += said
+        made.append(Group(t, tuple(c for j, c in enumerate(own.columns) if j != k)))
+    if not made:
+        raise faults[0] if faults else InputError("holds no columns of numbers", file=path, mend="is the file whole?")
+    return made, notes
 
 
 def _read_mat(path: Path, dt: float | None) -> tuple[Experiment, ...]:
@@ -500,12 +508,17 @@ def _read_mat(path: Path, dt: float | None) -> tuple[Experiment, ...]:
             return _from_layout(path, layout, variables)
     t = _time_vector(path, variables, dt)
     columns: list[tuple[Channel, np.ndarray]] = []
+    left = []
     for name, array in variables.items():
         if name not in TIME_NAMES and len(array) == len(t):
             width = array.shape[1]
             names = [name] if width == 1 else [f"{name}{k + 1}" for k in range(width)]
             columns += [(Channel(key, "", role_of(key)), array[:, k]) for k, key in enumerate(names)]
-    return _from_columns(path, t, columns)
+        elif array.size > 1 and name not in TIME_NAMES:
+            left.append(f"{name} ({' x '.join(map(str, array.shape))})")
+    records = _from_columns(path, t, columns)
+    note = [f"left out, for they have not the {len(t)} samples of the others: {', '.join(left)}"] if left else []
+    return tuple(replace(own, notes=(*note, *own.notes)) for own in records)
 
 
 def _variables(path: Path) -> dict[str, np.ndarray]:
@@ -523,7 +536,7 @@ def _time_vector(path: Path, variables: Mapping[str, np.ndarray], dt: float | No
     given = [variables[name].flat[0] for name in ("Ts", "dt") if name in variables and variables[name].size == 1]
     if step := next(iter(given), dt):
         lengths = [len(v) for v in variables.values() if len(v) > 1]
-        return step * np.arange(max(lengths, key=lengths.count) if lengths else 0)
+        return step * np.arange(max(lengths, key=lambda n: n * lengths.count(n)) if lengths else 0)  # most samples
     listed = ", ".join(variables) or "none"
     raise InputError(
         f"no time vector; numeric variables: {listed}",

@@ -21,7 +21,12 @@ LATE = 20  # samples after which a late stamp must have been caught up with
 MISSED = 3  # samples in a row that may be filled in
 FILLED = 0.02  # share of a record that may be, and
 MEND = 0.1  # the error that it may have, in standard deviations of a channel
-COARSE = 0.05  # share of stamps equal to the one before, from which on they have too few digits
+OFTEN = 0.05  # share of the stamps from which on late ones are no exception
+JUMP = 4.0  # of the usual change over a line, beyond which something happened in a hole
+SELDOM, FEW, COARSE = 0.005, 3, 0.05  # share and number of repeated stamps that may mean too few digits; share that must
+ROWS_OFF = 1.2  # rows by which a stamp may begin off the line: one, and what the line is not quite the true one
+WINDOW, RATE = 100, 0.12  # samples over which a mean step is taken, and by how much it may change
+PIECES = 50  # records that a table is cut into at most
 FEWEST = 25  # samples of a record that a table is cut into
 ROUNDING = 1e-12  # of its largest number, by which a channel that stands still may seem to move
 LOST = 0.1  # share of the samples that may be in shorter pieces
@@ -78,32 +83,89 @@ def regular(t: np.ndarray, values: np.ndarray, names: Sequence[str], place: Plac
     """
     typical = _typical(t)
     if not any(bad_stamps(t, typical)):
+        _check_rate(_Rows(t, values, np.arange(len(t))), place)
         return Regular((Piece(t, values),), _mean_step([t]))
     notes: list[str] = []
-    table = _once(_caught_up(_Rows(t, values, np.arange(len(t))), typical, notes), notes)
+    table = _Rows(t, values, np.arange(len(t)))
+    found = _coarse(table, place, notes) or _mended(table, typical, names, place, notes)
+    return Regular(tuple(found), _mean_step([own.t for own in found]), tuple(notes))
+
+
+def _mended(table: _Rows, typical: float, names: Sequence[str], place: Place, notes: list[str]) -> list[Piece]:
+    """Records of stamps that are even but for single faults."""
+    table = _once(_caught_up(table, typical, place, notes), notes)
     steps = np.diff(table.t)
-    coarse = bool(np.mean(steps == 0) > COARSE)
-    if coarse:
-        typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else typical  # the step of the stamps
-    elif (steps == 0).any():
+    if (steps == 0).any():
         raise _error(place, table, typical)
     breaks = np.flatnonzero((steps < 0) | (steps > GAP * typical)) + 1
-    if not coarse:
-        breaks = breaks[~_filled_in(table, breaks, typical, names, notes)]
+    breaks = breaks[~_filled_in(table, breaks, typical, names, notes)]
+    pieces = _cut(table, breaks, typical, place, notes)
+    for own in pieces:
+        _check_rate(own, place, typical)
+    return [_without_holes(own, typical) for own in pieces]
+
+
+def _cut(table: _Rows, breaks: np.ndarray, dt: float, place: Place, notes: list[str]) -> list[_Rows]:
+    """The table in pieces that begin at the breaks, without those that are too short; refused where too much would be lost."""
     pieces = [table.take(slice(*edges)) for edges in itertools.pairwise([0, *breaks, len(table.t)])]
     kept = [own for own in pieces if len(own.t) >= FEWEST] if len(pieces) > 1 else pieces
     lost = sum(len(own.t) for own in pieces) - sum(len(own.t) for own in kept)
-    if not kept or lost > LOST * len(t):
-        raise _error(place, table, typical)
+    if not kept or lost > LOST * len(table.t) or len(pieces) > PIECES:
+        raise _error(place, table, dt)
     if len(pieces) > 1:
-        notes.append(_told(table, pieces, typical, place))
+        notes.append(_told(pieces, place))
     if lost:
         notes.append(f"{_counted(lost, 'sample')} in pieces of fewer than {FEWEST} left out")
-    even = [_on_a_line(own, typical, place) if coarse else _without_holes(own, typical) for own in kept]
+    return kept
+
+
+def _coarse(table: _Rows, place: Place, notes: list[str]) -> list[Piece]:
+    """Records of stamps whose steps are larger than the sample time; none where they have enough digits.
+
+    Stamp s appears first in row k(s) = ceil((s + c) / dt): the line through these rows gives dt, and it must miss none of them by
+    more than one row. One row lost in a long record cannot be told from a slightly larger dt; more are.
+    """
+    steps = np.diff(table.t)
+    repeats, forward = int((steps == 0).sum()), steps[steps > 0]
+    if repeats < max(FEW, SELDOM * len(steps)) or not len(forward):
+        return []
+    step = float(np.median(forward))
+    breaks = np.flatnonzero((steps < 0) | (steps > 2.5 * step)) + 1
+    if len(breaks) > PIECES:
+        return []
+    certain = repeats > COARSE * len(steps)
+    pieces = [table.take(slice(*edges)) for edges in itertools.pairwise([0, *breaks, len(table.t)])]
+    lines = [_on_a_line(own, step) for own in pieces if len(own.t) >= FEWEST or len(pieces) == 1]
+    if not lines or any(own is None for own in lines):
+        if certain:
+            raise _uneven(place, table, step)
+        return []
+    kept = _cut(table, breaks, step, place, notes)
+    even = [own for own in map(_on_a_line, kept, itertools.repeat(step)) if own]
     dt = _mean_step([own.t for own in even])
-    if coarse:
-        notes.append(f"stamps in steps of {typical:.6g} s: samples taken as even, every {dt:.6g} s, within one step of them")
-    return Regular(tuple(even), dt, tuple(notes))
+    notes.append(f"stamps in steps of {step:.6g} s: samples taken as even, every {dt:.6g} s, within one step of them")
+    return even
+
+
+def _check_rate(table: _Rows, place: Place, dt: float = 0.0) -> None:
+    """Refuse stamps whose mean step changes along the record: as even samples they would be at other times."""
+    t = table.t
+    window = max(min(WINDOW, len(t) // 3), 1)
+    if len(t) < 3 * FEWEST:
+        return
+    steps = (t[window::window] - t[:-window:window][: len(t[window::window])]) / window
+    if dt:  # holes are to be filled in
+        holes = np.diff(t) / dt
+        extra = np.concatenate([[0.0], np.cumsum(np.where(holes > GAP, np.rint(holes) - 1.0, 0.0))])
+        count = window + extra[window::window] - extra[:-window:window][: len(steps)]
+        steps = steps * window / count
+    off = steps / np.median(steps)
+    if off.max() > 1.0 + RATE or off.min() < 1.0 - RATE:
+        k = int(np.argmax(np.abs(np.diff(np.log(np.maximum(steps, 1e-300))))))
+        row = int(table.rows[(k + 1) * window])
+        said = f"the sample time changes: {steps[k]:.4g} s on the average before {place.of(row)}, {steps[k + 1]:.4g} s after it"
+        mend = "cut it there into two files, or write it anew at one sample time"
+        raise InputError(said, file=place.file, line=place.line(row) if place.line else None, channel=place.channel, mend=mend)
 
 
 def _typical(t: np.ndarray) -> float:
@@ -123,8 +185,11 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count > 1)}"
 
 
-def _caught_up(table: _Rows, dt: float, notes: list[str]) -> _Rows:
-    """Stamps that came late, with as many samples after them as if they had not, put evenly between their neighbours."""
+def _caught_up(table: _Rows, dt: float, place: Place, notes: list[str]) -> _Rows:
+    """Stamps that came late, with as many samples after them as if they had not, put evenly between their neighbours.
+
+    Refused where many did: such stamps may be right, and the samples uneven.
+    """
     t, worst, count = table.t.copy(), 0.0, 0
     for k in np.flatnonzero(np.diff(t) > GAP * dt) + 1:
         if t[k] - t[k - 1] <= GAP * dt:
@@ -137,6 +202,8 @@ def _caught_up(table: _Rows, dt: float, notes: list[str]) -> _Rows:
             even = np.linspace(t[k - 1], t[k + m], m + 2)[1:-1]
             worst, count = max(worst, float(np.max(np.abs(t[k : k + m] - even)))), count + m
             t[k : k + m] = even
+    if count > OFTEN * len(t):
+        raise _error(place, table, dt)
     if count:
         came = f"{_counted(count, 'stamp')} that came late"
         notes.append(f"{came}, off by at most {worst:.3g} s, put evenly between those before and after")
@@ -144,10 +211,10 @@ def _caught_up(table: _Rows, dt: float, notes: list[str]) -> _Rows:
 
 
 def _once(table: _Rows, notes: list[str]) -> _Rows:
-    """Without rows that say the same as the one before, time included, where few do."""
+    """Without rows that say the same as the one before, time included."""
     twice = np.zeros(len(table.t), bool)
     twice[1:] = (np.diff(table.t) == 0) & (np.diff(table.values, axis=0) == 0).all(axis=1)
-    if not twice.any() or np.mean(np.diff(table.t) == 0) > COARSE:
+    if not twice.any():
         return table
     notes.append(f"{_counted(int(twice.sum()), 'row')} logged twice left out")
     return table.take(~twice)
@@ -160,9 +227,10 @@ def _filled_in(table: _Rows, breaks: np.ndarray, dt: float, names: Sequence[str]
     count = int(missed[short].sum())
     if not count or count > FILLED * len(table.t):
         return np.zeros(len(breaks), bool)
-    errors = _errors_of_lines(table, int(missed[short].max()), dt)
+    errors, usual = _errors_of_lines(table, int(missed[short].max()), dt)
+    jumps = np.abs(table.values[breaks] - table.values[breaks - 1])[short]
     worst = int(np.argmax(errors))
-    if not errors[worst] <= MEND:
+    if not errors[worst] <= MEND or np.any(jumps > JUMP * usual):
         return np.zeros(len(breaks), bool)
     notes.append(
         f"{_counted(count, 'missed sample')} filled in by straight lines, which miss samples that are there by"
@@ -171,18 +239,21 @@ def _filled_in(table: _Rows, breaks: np.ndarray, dt: float, names: Sequence[str]
     return short
 
 
-def _errors_of_lines(table: _Rows, missed: int, dt: float) -> np.ndarray:
-    """RMS by channel (nc,), in its standard deviations, by which lines over so many samples miss the middle one of them."""
+def _errors_of_lines(table: _Rows, missed: int, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """RMS by channel (nc,), in its standard deviations, by which lines over so many samples miss the middle one of them; and
+    the RMS by which a channel changes over such a line.
+    """
     ahead, whole = (missed + 1) // 2, missed + 1
     t, x = table.t, table.values
     first = np.flatnonzero(np.abs(t[whole:] - t[:-whole] - whole * dt) <= 0.5 * dt) if len(t) > whole else np.array([], int)
     if not len(first):
-        return np.full(x.shape[1], np.inf)
+        return np.full(x.shape[1], np.inf), np.zeros(x.shape[1])
     share = ahead / whole
     error = x[first + ahead] - (1.0 - share) * x[first] - share * x[first + whole]
     deviation = x.std(axis=0)
     moves = deviation > ROUNDING * np.abs(x).max(axis=0)
-    return np.where(moves, np.sqrt(np.mean(error**2, axis=0)) / np.where(moves, deviation, 1.0), 0.0)
+    usual = np.sqrt(np.mean((x[first + whole] - x[first]) ** 2, axis=0))
+    return np.where(moves, np.sqrt(np.mean(error**2, axis=0)) / np.where(moves, deviation, 1.0), 0.0), usual
 
 
 def _without_holes(table: _Rows, dt: float) -> Piece:
@@ -196,25 +267,40 @@ def _without_holes(table: _Rows, dt: float) -> Piece:
     return Piece(columns[0], np.column_stack(columns[1:]))
 
 
-def _on_a_line(table: _Rows, step: float, place: Place) -> Piece:
-    """Even stamps that are within one step of those that are there; raises InputError where there are none."""
-    k = np.arange(len(table.t))
-    slope, begin = np.polyfit(k, table.t - table.t[0], 1)
-    off = table.t - table.t[0] - slope * k
-    if slope <= 0.0 or np.ptp(off) > 1.2 * step:  # the line that fits best is not quite the true one
-        raise _error(place, table, step)
-    return Piece(table.t[0] + begin + slope * k, table.values)
+def _on_a_line(table: _Rows, step: float) -> Piece | None:
+    """Even stamps from the rows in which a new stamp begins; None where some of these are off by more than a row."""
+    t = table.t - table.t[0]
+    k = np.flatnonzero(np.diff(t) > 0) + 1
+    if len(k) < 2:
+        return None
+    slope = float(np.polyfit(t[k], k, 1)[0]) if len(k) > 2 else float((k[1] - k[0]) / (t[k[1]] - t[k[0]]))
+    off = k - slope * t[k]
+    if slope <= 0.0 or np.ptp(off) > ROWS_OFF:
+        return None
+    return Piece(table.t[0] + (np.arange(len(t)) - off.min()) / slope, table.values)
 
 
-def _told(table: _Rows, pieces: Sequence[_Rows], dt: float, place: Place) -> str:
+def _uneven(place: Place, table: _Rows, step: float) -> InputError:
+    """What to say of stamps with too few digits between which not always the same number of samples was logged."""
+    first = np.flatnonzero(np.diff(table.t, prepend=table.t[0] - 1.0) != 0)
+    counts = np.diff(first)
+    usual = int(np.median(counts))
+    k = int(np.argmax(np.abs(counts - usual))) if len(counts) else 0
+    row = int(table.rows[first[k]])
+    said = f"stamps in steps of {step:.6g} s have {usual} rows each, and {counts[k] if len(counts) else 0} at {place.of(row)}"
+    mend = "samples were lost or came unevenly: log the time with more digits, or cut the file there"
+    return InputError(said, file=place.file, line=place.line(row) if place.line else None, channel=place.channel, mend=mend)
+
+
+def _told(pieces: Sequence[_Rows], place: Place) -> str:
     """That the table was cut, and where, in the words of its file."""
     said = []
-    for before, after in itertools.pairwise(pieces):
+    for before, after in itertools.islice(itertools.pairwise(pieces), SHOWN):
         step = after.t[0] - before.t[-1]
         where = f"t = {before.t[-1]:.6g} s ({place.of(int(after.rows[0]))})"
         said.append(f"gap of {step:.4g} s after {where}" if step > 0 else f"time goes back to {after.t[0]:.6g} s after {where}")
-    more = f", and {len(said) - SHOWN} more" if len(said) > SHOWN else ""
-    return f"{', '.join(said[:SHOWN])}{more}: cut there into records of their own"
+    more = f", and {len(pieces) - 1 - SHOWN} more" if len(pieces) - 1 > SHOWN else ""
+    return f"{', '.join(said)}{more}: cut there into records of their own"
 
 
 def _error(place: Place, table: _Rows, dt: float) -> InputError:

@@ -138,15 +138,125 @@ def test_several_rates_come_on_the_stamps_of_the_fastest(tmp_path):
     assert "taken from 0.5 to" in e.notes[1]
 
 
-def test_nothing_is_drawn_over_a_gap_of_a_slower_channel(tmp_path):
+def signals(path, *groups):
+    """An MDF file of groups, each a list of (name, stamps, samples, options)."""
     asammdf = pytest.importorskip("asammdf")
-    slow = np.delete(0.2 * np.arange(30), range(10, 20))
     with asammdf.MDF() as file:
-        file.append([asammdf.Signal(samples=U, timestamps=T, name="u")])
-        file.append([asammdf.Signal(samples=slow, timestamps=slow, name="T1")])
-        file.save(tmp_path / "run.mf4", overwrite=True)
-    with pytest.raises(InputError, match=r"channel T1: gap stamp at 4 s"):
-        wb.read(tmp_path / "run.mf4")
+        for group in groups:
+            file.append([asammdf.Signal(samples=x, timestamps=t, name=name, **more) for name, t, x, more in group])
+        file.save(path, overwrite=True)
+    return path
+
+
+def test_nothing_is_drawn_over_a_gap_of_a_slower_channel(tmp_path):
+    slow = np.delete(0.2 * np.arange(30), range(10, 20))
+    (e,) = wb.read(signals(tmp_path / "run.mf4", [("u", T, U, {})], [("T1", slow, slow, {})]))
+    assert e.names == ("u",)
+    assert "T1: left out" in " ".join(e.notes)
+
+
+def test_a_slower_channel_is_drawn_at_the_times_that_samples_have_after_their_mend(tmp_path):
+    late = T.copy()
+    late[100:105] = T[105] - 0.003 + 0.0005 * np.arange(5)
+    slow = 0.1 * np.arange(N // 5)
+    (e,) = wb.read(signals(tmp_path / "run.mf4", [("u", late, U, {})], [("y", slow, np.sin(slow), {})]))
+    np.testing.assert_allclose(e["u"], U[: len(e)])
+    np.testing.assert_allclose(e["y"], np.interp(e.t, slow, np.sin(slow)), atol=1e-9)
+    np.testing.assert_allclose(np.diff(e.t), DT, rtol=1e-6)
+    assert "came late" in e.notes[0]
+
+
+def test_a_list_of_events_is_no_clock(tmp_path):
+    events = 2.0 + 0.001 * np.arange(6)
+    (e,) = wb.read(signals(tmp_path / "run.mf4", [("u", T, U, {})], [("event", events, np.arange(6.0), {})]))
+    assert (len(e), e.names) == (N, ("u",))
+    assert "event: 6 samples only, left out" in e.notes[0]
+
+
+def test_samples_that_are_marked_as_invalid_are_refused(tmp_path):
+    bits = np.zeros(N, bool)
+    bits[41] = True
+    path = signals(tmp_path / "run.mf4", [("u", T, np.where(bits, 1e6, U), {"invalidation_bits": bits}), ("y", T, Y, {})])
+    with pytest.raises(InputError, match=r"channel u: sample 42 is nan"):
+        wb.read(path)
+
+
+@pytest.mark.parametrize("apart", [2.0, 0.0])
+def test_waveforms_that_began_at_other_instants_are_laid_side_by_side(tmp_path, apart):
+    nptdms = pytest.importorskip("nptdms")
+    began = np.datetime64("2024-05-01T12:00:00.000000")
+    waves = [(began, "u", np.sin(T)), (began + np.timedelta64(round(1e6 * apart), "us"), "y", np.sin(T + apart))]
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
+        for start, name, x in waves:
+            wave = {"wf_increment": DT, "wf_start_time": start, "wf_start_offset": 0.0}
+            writer.write_segment([nptdms.ChannelObject(f"of {name}", name, x, properties=wave)])
+    (e,) = wb.read(tmp_path / "run.tdms")
+    np.testing.assert_allclose(e["u"], e["y"], atol=1e-3)
+    np.testing.assert_allclose(e["u"], np.sin(e.t), atol=1e-3)
+
+
+def test_a_column_of_time_counts_more_than_an_increment(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as writer:
+        wave = {"wf_increment": 1.0, "wf_start_offset": 0.0}
+        writer.write_segment([nptdms.ChannelObject("a", name, x, properties=wave) for name, x in (("Time", T), ("u", U))])
+    (e,) = wb.read(tmp_path / "run.tdms")
+    assert (e.dt, e.names) == (pytest.approx(DT), ("u",))
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"time": 1714560000000.0 + 20.0 * np.arange(N), "u": U}, "no time of this age"),
+        ({"time": 45292.5 + T / 86400.0, "u": U}, "is it in days"),
+        ({"time": np.repeat(T[: N // 2], 2), "signal": ["a", "b"] * (N // 2), "value": U}, "several signal below each other"),
+    ],
+)
+def test_times_and_tables_that_mean_something_else_are_asked_about(tmp_path, columns, said):
+    pandas = pytest.importorskip("pandas")
+    pandas.DataFrame(columns).to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(InputError, match=said):
+        wb.read(tmp_path / "a.parquet")
+
+
+def test_a_row_without_a_time_is_named(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    stamps = np.datetime64("2024-05-01T12:00:00") + (T * 1e9).round().astype("timedelta64[ns]")
+    stamps[7] = np.datetime64("NaT")
+    pandas.DataFrame({"when": stamps, "u": U}).to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(InputError, match="sample 8 of u has no time"):
+        wb.read(tmp_path / "a.parquet")
+
+
+def test_dates_and_times_in_columns_of_their_own_and_empty_rows(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Date", "Time", "u"])
+    begin = datetime.datetime(2024, 5, 1, 23, 59, 58)
+    for k in range(40):
+        now = begin + datetime.timedelta(seconds=0.1 * k)
+        book.active.append([datetime.datetime.combine(now.date(), datetime.time()), now.time(), U[k]])
+    book.active.cell(60, 5).number_format = "0.00"
+    book.save(tmp_path / "a.xlsx")
+    (e,) = wb.read(tmp_path / "a.xlsx")
+    np.testing.assert_allclose(e.t, 0.1 * np.arange(40), atol=1e-5)
+    np.testing.assert_allclose(e["u"], U[:40])
+
+
+def test_matrices_beside_a_run_are_left_out_and_told(tmp_path):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"dt": DT, "A": np.eye(4), "B": np.eye(4), "K": np.eye(4), "y": Y})
+    (e,) = wb.read(tmp_path / "a.mat")
+    assert (e.names, len(e)) == (("y",), N)
+    assert "A (4 x 4)" in e.notes[0]
+
+
+def test_what_does_not_go_up_by_one_is_no_counter(tmp_path):
+    encoder = np.cumsum(np.random.default_rng(0).integers(0, 80, N))
+    (tmp_path / "a.csv").write_text("count,u\n" + "".join(f"{c},{u}\n" for c, u in zip(encoder, U, strict=True)))
+    (e,) = wb.read(tmp_path / "a.csv", dt=DT)
+    assert (e.dt, e.names) == (pytest.approx(DT), ("count", "u"))
 
 
 def test_two_sheets_with_numbers_are_asked_about(tmp_path):

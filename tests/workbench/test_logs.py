@@ -207,3 +207,12 @@ def test_quotes_and_headers_in_comments_of_blanks_are_read(tmp_path):
     assert read_text(tmp_path, "# t u y\n0 1 2\n1 2 3\n2 3 4\n")["y"].tolist() == [2.0, 3.0, 4.0]
     assert read_text(tmp_path, "Time (ms);T (degC)\n0;20\n1;20,5\n2;21\n").names == ("T",)
     assert read_text(tmp_path, '"' + 140_000 * "x" + "\nTime (ms),u\n0,1\n1,2\n2,3\n").names == ("u",)
+
+
+def test_a_german_date_beside_clock_times_with_decimal_commas(tmp_path):
+    days = [("01.05.2024;23:59", 39 + k, k) if k <= 20 else ("02.05.2024;00:00", k - 21, k) for k in range(40)]
+    rows = "".join(f"{day}:{second:02d},500;{k},25\n" for day, second, k in days)
+    e = read_text(tmp_path, "Datum;Uhrzeit;y\n" + rows)
+    np.testing.assert_allclose(e.t, np.arange(40))
+    assert e.names == ("y",)
+    assert e["y"][3] == 3.25

@@ -97,3 +97,82 @@ def test_faults_in_threes_are_read_right_or_refused():
             continue
         check(log, 9 * DT)
     assert refused <= 3
+
+
+def columns(t: np.ndarray, k: np.ndarray) -> dict[str, np.ndarray]:
+    return {"t [s]": t, "k": k.astype(float), "u": np.sin(0.01 * k)}
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.37])
+@pytest.mark.parametrize(
+    ("dt", "step", "span"),
+    [
+        (0.01, 1.0, 4),
+        (0.01, 1.0, 20),
+        (0.1, 1.0, 60),
+        (0.01, 0.0156, 20),
+        (0.00097, 0.001, 3),
+        (0.0098, 0.01, 30),
+    ],
+)
+def test_stamps_of_few_digits_give_the_sample_time_without_bias(dt, step, span, phase):
+    k = np.arange(round(span / dt))
+    (e,) = read(columns(np.floor((k * dt + phase * step) / step + 1e-9) * step, k))
+    np.testing.assert_array_equal(e["k"], k)
+    assert e.dt == pytest.approx(dt, rel=1.2 * dt / (span - 2.0 * step) + 1e-9)
+    off = e.t - e.t[0] - k * dt
+    assert np.ptp(off) <= step + dt
+
+
+@pytest.mark.parametrize(("dt", "lost"), [(0.01, 20), (0.1, 3), (0.01, 120)])
+def test_samples_lost_between_stamps_of_few_digits_are_not_closed_up(dt, lost):
+    k = np.delete(np.arange(round(60.0 / dt)), slice(round(30.3 / dt), round(30.3 / dt) + lost))
+    try:
+        records = read(columns(np.floor(k * dt + 1e-9), k))
+    except InputError as reason:
+        said = str(reason)
+    else:
+        assert all((np.diff(e["k"]) == 1).all() for e in records)
+        return
+    assert "samples were lost" in said
+    assert "delete" not in said
+
+
+@pytest.mark.parametrize("wide", [0.6, 0.7])
+def test_samples_at_uneven_steps_are_not_made_even(wide):
+    for seed in range(20):
+        t = np.cumsum(0.1 * np.random.default_rng(seed).uniform(1.0 - wide, 1.0 + wide, 1000))
+        with pytest.raises(InputError, match=r"uneven|gap|changes"):
+            read(columns(t, np.arange(1000)))
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.02, 0.005), (0.010, 0.014), (0.01, 0.0125)])
+def test_a_sample_time_that_changes_is_refused_where_it_does(before, after):
+    t = np.concatenate([[0.0], np.cumsum(np.r_[np.full(600, before), np.full(500, after)])])
+    with pytest.raises(
+        InputError, match=f"(?s)sample time changes: {before:g} s on the average before sample (5|6|7).*{after:g} s"
+    ):
+        read(columns(t, np.arange(len(t))))
+    with pytest.raises(InputError, match=r"sample time changes|gap"):
+        read(columns(np.delete(t, 300), np.delete(np.arange(len(t)), 300)))
+
+
+def test_jitter_of_the_clock_is_no_change_of_the_sample_time():
+    for seed in range(20):
+        t = np.cumsum(0.01 * np.random.default_rng(seed).uniform(0.6, 1.4, 5000))
+        assert len(read(columns(t, np.arange(5000)))) == 1
+
+
+def test_nothing_is_filled_in_where_something_happened():
+    k = np.delete(np.arange(1000), [500, 501])
+    mode = np.where(k < 500, 1.0, 3.0)
+    first, second = read(columns(k * 0.01, k) | {"mode": mode})
+    assert (set(first["mode"]), set(second["mode"])) == ({1.0}, {3.0})
+    (whole,) = read(columns(k * 0.01, k) | {"mode": np.ones(998)})
+    assert len(whole) == 1000
+
+
+def test_a_counter_that_wraps_is_refused_at_once():
+    k = np.arange(100_000)
+    with pytest.raises(InputError, match="time goes back"):
+        read(columns(0.01 * (k % 256), k))

@@ -27,7 +27,7 @@ from workbench.sources import Names, read, read_files
 
 LOOK_FILE = "look.json"
 LEVELS = 12  # a channel of so many values at most is told by them
-HELD = 3.0  # samples that a channel keeps its value on the average, from which on it is told as held
+HELD = 3.0  # samples that a channel keeps its value on the average, from which on that is told
 TRIED = 200_000  # samples from which it is told how a channel moves
 DRAWN = 8  # records that have pictures
 WINDOW = 16_384  # samples of a spectrum at most
@@ -128,7 +128,7 @@ class Look(Answer):
 
     >>> found = look(data)
     >>> [(own.channel.name, own.moves) for own in found.sets[0].channels]
-    [('U', 'held 15 samples'), ('n', 'moves on'), ('way', 'moves on')]
+    [('U', 'changes every 15 samples on the average'), ('n', 'moves on'), ('way', 'moves on')]
     """
 
     sets: tuple[RecordSet, ...]
@@ -240,7 +240,7 @@ def _moves(x: np.ndarray, low: float, high: float) -> str:
     held = len(x) / (changes + 1)
     told = f"{levels} levels, " if levels <= LEVELS else ""
     if held >= HELD:
-        return f"{told}held {held:.0f} samples"
+        return f"{told}changes every {held:.0f} samples on the average"
     return f"{told}moves on"
 
 

@@ -34,7 +34,7 @@ def test_channels_are_told_over_all_records():
         np.testing.assert_allclose([c.mean, c.deviation], [x.mean(), x.std()], rtol=1e-12)
     u, y, way = found.channels
     assert y.resolution == pytest.approx(0.01, rel=1e-6)
-    assert (u.moves, y.moves, u.resolution) == ("held 25 samples", "moves on", 0.0)
+    assert (u.moves, y.moves, u.resolution) == ("changes every 25 samples on the average", "moves on", 0.0)
     assert (way.channel.role, way.low, way.high) == ("schedule", 1.0, 7.0)
     assert "2 records, 1600 samples of 3 channels every 0.01 s, 16 s in all." in str(wb.look(*records))
 
