@@ -32,7 +32,7 @@ TIME_NAMES = ("t", "time", "Time", "Zeit")
 #: Fewer samples than this are no record.
 SHORTEST = 3
 YEARS = 1e11  # s: milliseconds since 1970 are more, seconds are not
-DAYS, PER_DAY = 1e4, 1.5e-5  # days since 1900 or 0 are more, and steps of a second are less of a day
+DAYS, PER_DAY = (1e4, 1e6), 1.5e-5  # days since 1900 or 0 are within, and steps of a second are less of a day
 
 #: Roles by name: the channels of the three machines and the letters of the field. The first match counts.
 ROLES: tuple[tuple[str, Role], ...] = (
@@ -231,7 +231,8 @@ def _records(t: np.ndarray, channels: tuple[Channel, ...], values: np.ndarray, p
         mend = f"write {place.channel} [ms] in the header, or {place.channel} [us]"
         raise InputError(f"{t[0]:g} s is no time of this age", file=place.file, line=line, channel=place.channel, mend=mend)
     found = regular(t, values, [channel.name for channel in channels], place)
-    if abs(t[0]) > DAYS and found.dt < PER_DAY:
+    per_day = 86400.0 * found.dt
+    if found.dt < PER_DAY and (DAYS[0] < t[0] < DAYS[1] or abs(per_day / float(f"{per_day:.2g}") - 1.0) < 1e-5):
         mend = f"if it is in days, multiply it by 86400 and write {place.channel} [s]"
         raise InputError(
             f"steps of {found.dt:.3g} s at {t[0]:.6g} s: is it in days?", file=place.file, channel=place.channel, mend=mend

@@ -26,6 +26,7 @@ JUMP = 4.0  # of the usual change over a line, beyond which something happened i
 SELDOM, FEW, COARSE = 0.005, 3, 0.05  # share and number of repeated stamps that may mean too few digits; share that must
 ROWS_OFF = 1.2  # rows by which a stamp may begin off the line: one, and what the line is not quite the true one
 WINDOW, RATE = 100, 0.12  # samples over which a mean step is taken, and by how much it may change
+UNEVEN = 0.25  # standard deviation of steps, in sample times, from which on samples are not even
 PIECES = 50  # records that a table is cut into at most
 FEWEST = 25  # samples of a record that a table is cut into
 ROUNDING = 1e-12  # of its largest number, by which a channel that stands still may seem to move
@@ -148,11 +149,21 @@ def _coarse(table: _Rows, place: Place, notes: list[str]) -> list[Piece]:
 
 
 def _check_rate(table: _Rows, place: Place, dt: float = 0.0) -> None:
-    """Refuse stamps whose mean step changes along the record: as even samples they would be at other times."""
+    """Refuse stamps whose mean step changes along the record, or whose steps vary much: even samples would be at other times."""
     t = table.t
     window = max(min(WINDOW, len(t) // 3), 1)
-    if len(t) < 3 * FEWEST:
-        return
+    if len(t) >= 3 * FEWEST:
+        _check_windows(table, window, place, dt)
+    single = np.diff(t) / (dt or np.mean(np.diff(t)))
+    if len(t) >= FEWEST and np.std(single - np.where(single > GAP, np.rint(single) - 1.0, 0.0)) > UNEVEN:
+        said = f"steps of time vary by {100 * np.std(single):.0f} % of {dt or np.mean(np.diff(t)):.4g} s on the average"
+        mend = "sampled at uneven steps? Write it anew at one sample time, interpolated between the samples"
+        raise InputError(said, file=place.file, channel=place.channel, mend=mend)
+
+
+def _check_windows(table: _Rows, window: int, place: Place, dt: float) -> None:
+    """Refuse a mean step that is another one in some window of so many samples."""
+    t = table.t
     steps = (t[window::window] - t[:-window:window][: len(t[window::window])]) / window
     if dt:  # holes are to be filled in
         holes = np.diff(t) / dt

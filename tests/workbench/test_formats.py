@@ -209,6 +209,7 @@ def test_a_column_of_time_counts_more_than_an_increment(tmp_path):
     [
         ({"time": 1714560000000.0 + 20.0 * np.arange(N), "u": U}, "no time of this age"),
         ({"time": 45292.5 + T / 86400.0, "u": U}, "is it in days"),
+        ({"time": 0.5 + T / 86400.0, "u": U}, "is it in days"),
         ({"time": np.repeat(T[: N // 2], 2), "signal": ["a", "b"] * (N // 2), "value": U}, "several signal below each other"),
     ],
 )
