@@ -71,11 +71,11 @@ def _look(sub: argparse.ArgumentParser) -> None:
     )
     _roles(sub)
     sub.add_argument("--schedule", metavar="A", help="scheduling channels (default: by name)")
-    sub.add_argument("--dt", type=_seconds, metavar="S", help="sample time of files without a column of time")
+    _file_dt(sub)
 
 
 def _identify(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (CSV or MAT)")
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (text, Excel, MAT, Parquet, TDMS, MDF)")
     _roles(sub)
     sub.add_argument("--schedule", metavar="A", help="scheduling channel (default: by name); none: without one")
     sub.add_argument(
@@ -318,12 +318,12 @@ def _holdout(sub: argparse.ArgumentParser, text: str, old: str = "") -> None:
 
 
 def _sample_time(sub: argparse.ArgumentParser, default: str) -> None:
-    sub.add_argument(
-        "--dt",
-        type=_seconds,
-        metavar="S",
-        help=f"sample time to bring the records to (default: {default}), and of files without a column of time",
-    )
+    sub.add_argument("--dt", type=_seconds, metavar="S", help=f"sample time to bring the records to (default: {default})")
+    _file_dt(sub)
+
+
+def _file_dt(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--file-dt", type=_seconds, metavar="S", help="sample time of files that have no column of time")
 
 
 def _accept(sub: argparse.ArgumentParser) -> None:
@@ -333,7 +333,7 @@ def _accept(sub: argparse.ArgumentParser) -> None:
 
 
 def _plant_and_records(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("records", nargs="+", metavar="RECORD", help="measured records (CSV or MAT), channels named as in the plant")
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="measured records, channels named as in the plant")
     sub.add_argument("--plant", required=True, metavar="PLANT", help=PLANT_HELP)
     _holdout(sub, "records to measure the gain on")
     sub.add_argument(

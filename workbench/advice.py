@@ -347,7 +347,9 @@ def _clipped(experiment: Experiment) -> Iterator[Advice]:
             count = int(np.count_nonzero(x == level))
             following = float(np.max(sign * x, where=x != level, initial=-np.inf))
             next_count = int(np.count_nonzero(sign * x == following))
-            if count > max(0.01 * len(x), 5 * next_count, 5) and _longest_run(x == level) >= 4:
+            longest = _longest_run(x == level)
+            elsewhere = _longest_run((np.diff(x) == 0) & (x[1:] != level)) + 1  # a held command rests at every level
+            if count > max(0.01 * len(x), 5 * next_count, 5) and longest >= 4 and longest > 1.5 * elsewhere:
                 commanded = channel.has_role("input")
                 what = "if something else acted on the machine, log that" if commanded else "beyond it the sensor says nothing"
                 sentence = f"is clipped: {count} of {len(x)} samples sit exactly at its {at} end {level:g}; {what}"

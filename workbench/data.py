@@ -464,7 +464,7 @@ def _check_alike(first: Experiment, other: Experiment) -> None:
         raise InputError(
             f"sample times {first.dt:g} s and {other.dt:g} s, expected the same",
             file=pair,
-            mend=f"resample both to {max(first.dt, other.dt):g} s: identify --dt, in Python .resample(dt)",
+            mend=f"resample both to {max(first.dt, other.dt):g} s: identify --dt, in Python each with .resample(dt)",
         )
     missing = set(first.names) ^ set(other.names)
     if missing:

@@ -56,8 +56,16 @@ class Group:
     left: tuple[str, ...] = ()
 
 
-def loaded(path: Path) -> list[Group] | str:
-    """What a file holds: groups of columns, or text. Raises InputError where it cannot be read, with what is to be installed."""
+@record
+class Sheet:
+    """A spreadsheet as text, and what is to be said of it."""
+
+    text: str
+    notes: tuple[str, ...]
+
+
+def loaded(path: Path) -> list[Group] | Sheet:
+    """What a file holds: groups of columns, or a sheet. Raises InputError where it cannot be read."""
     kind = KINDS[path.suffix.lower()]
     done = subprocess.run([sys.executable, "-I", str(LOADER), kind, str(path)], capture_output=True, check=False)
     if done.returncode:
@@ -70,8 +78,8 @@ def loaded(path: Path) -> list[Group] | str:
         raise InputError(f"cannot be read as {CALLED[kind]} file ({reason})", file=path, mend=mend)
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as content:
         head = json.loads(str(content["arr_0"]))
-        if isinstance(head, str):
-            return head
+        if isinstance(head, dict):
+            return Sheet(head["text"], tuple(head["notes"]))
         found = [
             (
                 np.zeros(0) if own["time"] is None else content[f"arr_{own['time']}"],

@@ -1,7 +1,7 @@
 """The numeric columns of a file that is no text, as NPZ on standard output: python loadfile.py KIND FILE
 
 Run in a process of its own: on a damaged file some readers end their process with a segmentation fault. The first array is JSON:
-the text of a spreadsheet, or groups
+{"text": .., "notes": [..]} of a spreadsheet, or groups
 
     {"time": number of its array or null, "columns": [[name, unit, number of its array], ..], "left": [name, ..]}
 """
@@ -140,7 +140,7 @@ def mdf(path: str) -> list[Group]:
     return list(found.values())
 
 
-def excel(path: str) -> str:
+def excel(path: str) -> dict[str, Any]:
     """The one sheet with numbers as text, cells between semicolons. LookupError where there are several, or none."""
     import openpyxl
 
@@ -162,7 +162,7 @@ def excel(path: str) -> str:
             writer.writerow([_cell(cell, days) for cell, days in zip(row, dates, strict=True)])
         else:
             room.write("\n")
-    return room.getvalue()
+    return {"text": room.getvalue(), "notes": [f"sheet {next(iter(full))}, the only one with numbers"] * (len(sheets) > 1)}
 
 
 def _filled(row: Iterable[Any]) -> bool:
@@ -190,7 +190,7 @@ def _cell(cell: Any, days: bool) -> str:
             return str(cell).replace("\n", " ")
 
 
-KINDS: dict[str, Callable[[str], list[Group] | str]] = {
+KINDS: dict[str, Callable[[str], list[Group] | dict[str, Any]]] = {
     "mat": mat, "parquet": parquet, "feather": feather, "tdms": tdms, "mdf": mdf, "excel": excel
 }  # fmt: skip
 
@@ -204,7 +204,7 @@ def main(kind: str, path: str) -> None:
         arrays.append(np.asarray(array, float))
         return len(arrays)
 
-    head = found if isinstance(found, str) else [
+    head = found if isinstance(found, dict) else [
         {
             "time": None if t is None else place(t),
             "columns": [[name, unit, place(x)] for name, unit, x in columns],

@@ -277,12 +277,18 @@ def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | N
     if len(found) != 1:
         if any(_split(name)[0].lower() in (*CLOCKS, *STAMPS) for k, name in enumerate(names) if k not in kept):
             return None  # its times are no numbers: the first of them is refused
+        clocks = [j for j in kept if rows and all(_dated(cells[k][j]) for k in rows if j < len(cells[k]))]
+        if len(clocks) == 1 and not found:
+            return clocks[0], 0.0, [f"{names[clocks[0]]} holds dates and clock times: t is 0 at the first"]
         counter = next((j for j in kept if names[j].lower() in COUNTERS and _counting(cells, rows, j)), None)
         if dt and not found:
             if counter is None:
                 return ROWS, dt, [f"no time column: a sample every {dt:g} s, as asked"]
             return counter, dt, [f"{names[counter]} counts samples, one every {dt:g} s as asked"]
-        told, mend = f"no time column among {', '.join(names)}", "name the time column t [s], or give the sample time (dt)"
+        told, mend = (
+            f"no time column among {', '.join(names)}",
+            "name the time column t [s], or give its sample time: --file-dt, in Python read(.., dt=)",
+        )
         if found:
             told, mend = f"two time columns, {' and '.join(names[k] for k, _, _ in found)}", "keep one"
         raise InputError(told, file=path, line=line, mend=mend)
@@ -299,6 +305,17 @@ def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | N
         return j, known.factor, [f"{name} is in {unit}, taken as t in s"]
     plainly = names[j] in ("t", "t [s]", "time", "Time", "Zeit")
     return j, 1.0, [] if plainly else [f"{name} is taken as time in s"]
+
+
+def _dated(cell: str) -> bool:
+    match = _TIME.fullmatch(cell)
+    return bool(match and match[1])
+
+
+def is_table(path: Path) -> bool:
+    """Whether a text has rows of numbers below a row of names."""
+    decoded = _decoded(path.read_bytes())
+    return decoded is not None and _layout(re.split(r"\r\n|\n|\r", decoded[0]), []) is not None
 
 
 def counts(values: np.ndarray) -> bool:

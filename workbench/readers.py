@@ -21,8 +21,8 @@ import numpy as np
 from workbench.data import Channel, Experiment, Role, span_name
 from workbench.errors import InputError
 from workbench.files import write_text
-from workbench.formats import KINDS, Group, loaded, on_one_clock
-from workbench.logs import ROWS, counts, number, plain, time_column
+from workbench.formats import KINDS, Group, Sheet, loaded, on_one_clock
+from workbench.logs import ROWS, counts, is_table, number, plain, time_column
 from workbench.records import record
 from workbench.stamps import Place, regular
 from workbench.units import UNITS
@@ -194,8 +194,11 @@ def _read_csv(path: Path, dt: float | None) -> tuple[Experiment, ...]:
     """A table as it is; where it does not keep the contract, as it is understood, which the record's notes say."""
     try:
         return _read_text(_Source(path))
-    except InputError:
+    except InputError as reason:
         found = plain(path, dt)
+        if found is None and reason.problem.startswith("no time column") and not is_table(path):
+            mend = "expected one row of names and rows of numbers below it"
+            raise InputError("is no table of numbers", file=path, mend=mend) from None
         if found is None:
             raise
     records = _read_text(_Source(path, found.text), found.factor)
@@ -283,7 +286,7 @@ def _header(source: _Source) -> _Header:
 def _time_column(path: Path, line: int, names: Sequence[str], units: Sequence[str]) -> int:
     found = [k for k, name in enumerate(names) if name in TIME_NAMES]
     if not found:
-        mend = "name the time column t [s], or give the sample time (dt)"
+        mend = "name the time column t [s], or give its sample time: --file-dt, in Python read(.., dt=)"
         if len(names) == 1:
             mend += "; columns are separated by comma, semicolon or tab"
         raise InputError(f"no time column among {', '.join(names)}", file=path, line=line, mend=mend)
@@ -456,10 +459,11 @@ def _line_of_row(source: _Source, header: _Header, row: int) -> int:
 def _read_other(path: Path, dt: float | None) -> tuple[Experiment, ...]:
     """A sheet as the text that it would be exported as; groups of columns on the stamps of the fastest."""
     found = loaded(path)
-    if isinstance(found, str):
-        written = plain(path, dt, found)
-        records = _read_text(_Source(path, written.text if written else found), written.factor if written else 1.0)
-        return tuple(replace(own, notes=written.notes + own.notes) for own in records) if written else records
+    if isinstance(found, Sheet):
+        written = plain(path, dt, found.text)
+        records = _read_text(_Source(path, written.text if written else found.text), written.factor if written else 1.0)
+        said = (*found.notes, *(written.notes if written else ()))
+        return tuple(replace(own, notes=said + own.notes) for own in records)
     groups, notes = _with_stamps(path, [own for own in found if own.columns], dt)
     left = [name for own in found for name in own.left]
     notes += [f"left out, for they are no numbers: {', '.join(left)}"] if left else []
@@ -525,7 +529,7 @@ def _read_mat(path: Path, dt: float | None) -> tuple[Experiment, ...]:
 def _variables(path: Path) -> dict[str, np.ndarray]:
     """Real numeric variables by name, vectors as one column (N, 1)."""
     found = loaded(path)
-    assert not isinstance(found, str)
+    assert not isinstance(found, Sheet)
     arrays = {c.name: c.values for group in found for c in group.columns}
     return {name: array.reshape(-1, 1) if 1 in array.shape else array for name, array in arrays.items()}
 

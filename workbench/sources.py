@@ -43,7 +43,7 @@ def read(*sources: Any, inputs: Names = (), outputs: Names = (), schedule: Names
             own = _from_arrays(f"record {number}", source, dt)
         if dt is not None and abs(own[0].dt - dt) > SAME_DT * dt:
             said = f"has its own time, a sample every {own[0].dt:g} s, and {dt:g} s was given"
-            raise InputError(said, file=own[0].name, mend="leave dt out, and bring the record to it with .resample(dt)")
+            raise InputError(said, file=own[0].name, mend="leave dt out, and bring each record to it with .resample(dt)")
         made += [e.with_roles(inputs, outputs, schedule) for e in own]
     return Dataset(tuple(made))
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from workbench.advice import quantum
 from workbench.data import GAP, bad_stamps
 from workbench.errors import InputError
 from workbench.records import field, record
@@ -274,8 +275,16 @@ def _without_holes(table: _Rows, dt: float) -> Piece:
     if at[-1] == len(at) - 1:
         return Piece(table.t, table.values)
     grid = np.arange(at[-1] + 1)
-    columns = [np.interp(grid, at, column) for column in (table.t, *table.values.T)]
-    return Piece(columns[0], np.column_stack(columns[1:]))
+    columns = [_on_steps(np.interp(grid, at, column), column) for column in table.values.T]
+    return Piece(np.interp(grid, at, table.t), np.column_stack(columns))
+
+
+def _on_steps(filled: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Values rounded to the steps of those that were measured, where these have steps."""
+    q = quantum(measured)
+    return (
+        filled if q == 0.0 else np.where(np.isin(filled, measured), filled, measured[0] + q * np.rint((filled - measured[0]) / q))
+    )
 
 
 def _on_a_line(table: _Rows, step: float) -> Piece | None:

@@ -30,8 +30,8 @@ def run(options: Namespace) -> int:
     interval = interval_method(options) if INTERVAL in wanted else check_interval_options(options)
     methods = {name: known[name](**_method_options(options, name)) for name in wanted if name != INTERVAL}
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
-    held_out = _read(options.holdout, roles, options.dt) if options.holdout else None
-    given = prepared(_read(options.records, roles, options.dt), held_out, options.dt)
+    own, held_out = (_read(paths, roles, options) for paths in (options.records, options.holdout))
+    given = prepared(joined(own), joined(held_out) if held_out else None, options.dt)
     for note in given.notes:
         say(f"note: {note}")
     say(_described(given.own))
@@ -79,23 +79,22 @@ def _say_advice(dataset: Dataset, order: int | None = None, *, warnings_only: bo
             say(f"{note.severity}: {note.record}{', ' + note.channel if note.channel else ''}: {note.sentence}")
 
 
-def _read(paths: list[str], roles: dict[str, tuple[str, ...]], dt: float | None) -> Dataset:
+def _read(paths: list[str], roles: dict[str, tuple[str, ...]], options: Namespace) -> list[Dataset]:
     """The records with their roles; `--schedule none` leaves out the channel that its name makes a schedule.
 
-    dt: records of different sample times are each brought to this one.
+    Records of different sample times are each brought to --dt, where it is given.
     """
-    schedule = roles["schedule"] if roles["schedule"] != ("none",) else ()
-    each = read_files(paths, dt, **roles | {"schedule": schedule})
-    if dt and len({round(own.dt / dt, 6) for own in each}) > 1:
-        brought = [thinned(own, dt) for own in each]
+    unscheduled = roles["schedule"] == ("none",)
+    each = read_files(paths, options.file_dt, **roles | ({"schedule": ()} if unscheduled else {}))
+    if options.dt and len({round(own.dt / options.dt, 6) for own in each}) > 1:
+        brought = [thinned(own, options.dt) for own in each]
         for own, (_, said) in zip(each, brought, strict=True):
             if said:
                 say(f"note: {own.names[0]}: {said}")
         each = [done for done, _ in brought]
-    records = joined(each)
-    if schedule == roles["schedule"]:
-        return records
-    return Dataset(tuple(e.select([c.name for c in e.channels if c.role != "schedule"]) for e in records))
+    if not unscheduled:
+        return each
+    return [Dataset(tuple(e.select([c.name for c in e.channels if c.role != "schedule"]) for e in own)) for own in each]
 
 
 def _described(dataset: Dataset) -> str:

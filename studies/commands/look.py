@@ -15,7 +15,7 @@ SHOWN = 12  # sentences on the screen; the page has all
 def run(options: Namespace) -> int:
     """Look, say, and write the page; 2 where a file could not be read, though others could."""
     roles = {"inputs": names(options.inputs), "outputs": names(options.outputs), "schedule": names(options.schedule)}
-    found = look(*options.records, **roles, dt=options.dt)
+    found = look(*options.records, **roles, dt=options.file_dt)
     for own in found.sets:
         say(own.headline)
         _say_channels(own)
@@ -26,9 +26,11 @@ def run(options: Namespace) -> int:
         say(f"... and {len(told) - SHOWN} more on the page")
     for own in found.sets:
         say(f"go on: {own.command}")
+    if found.refused:
+        say(f"{len(found.refused)} of {len(options.records)} files could not be read")
     folder = run_folder(options.out, "look")
     files = [e.file for own in found.sets for e in own.records]
-    found.save(folder, source=provenance(roles | {"dt": options.dt}, list(dict.fromkeys(files))))
+    found.save(folder, source=provenance(roles | {"file_dt": options.file_dt}, list(dict.fromkeys(files))))
     if options.json:
         write_bytes(options.json, (folder / LOOK_FILE).read_bytes())
     say(f"report: {folder / 'report.html'}")

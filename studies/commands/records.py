@@ -13,8 +13,8 @@ from workbench.sources import read_files
 
 
 def read_both(options: Namespace) -> tuple[Dataset, Dataset | None]:
-    """The records of a command, and those of --holdout; --dt is the sample time of files without time as well."""
-    own, held_out = (read_files(paths, options.dt) for paths in (options.records, options.holdout))
+    """The records of a command, and those of --holdout."""
+    own, held_out = (read_files(paths, options.file_dt) for paths in (options.records, options.holdout))
     return joined(own), joined(held_out) if held_out else None
 
 

@@ -42,3 +42,22 @@ def test_files_that_cannot_be_read_are_told_and_end_with_two(log, tmp_path, caps
     assert "line 3, channel u: empty cell" in said
     assert main(["look", str(log), "--inputs", "Spannung", "--out", str(tmp_path / "none")]) == 2
     assert "unknown channel 'Spannung'" in capsys.readouterr().err
+
+
+def test_the_sample_time_of_a_file_is_not_the_one_that_records_are_brought_to(tmp_path, capsys):
+    k = np.arange(1200)
+    u = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, 60), 20)
+    y = np.zeros(1200)
+    for i in range(1, 1200):
+        y[i] = 0.97 * y[i - 1] + 0.03 * u[i - 1]
+    (tmp_path / "fast.csv").write_text("count,u,y\n" + "".join(f"{a},{b},{c}\n" for a, b, c in zip(k, u, y, strict=True)))
+    rows = [f"{0.01 * a},{b},{c}\n" for a, b, c in zip(k, u, 1.0 - y, strict=True) if a % 2 == 0]
+    (tmp_path / "slow.csv").write_text("t,u,y\n" + "".join(rows))
+    words = ["identify", str(tmp_path / "slow.csv"), "--holdout", str(tmp_path / "fast.csv"), "--inputs", "u"]
+    words += ["--output", "y", "--model", "lti"]
+    assert main([*words, "--dt", "0.02", "--out", str(tmp_path / "a")]) == 2
+    assert "--file-dt" in capsys.readouterr().err
+    assert main([*words, "--dt", "0.02", "--file-dt", "0.01", "--out", str(tmp_path / "b")]) in (0, 3)
+    assert "sampled every 0.02 s" in capsys.readouterr().out
+    scores = json.loads((tmp_path / "b" / "scores.json").read_text())
+    assert scores

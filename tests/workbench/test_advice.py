@@ -260,3 +260,16 @@ def test_the_span_of_the_schedule_is_that_of_all_records():
     assert found.severity == "note"
     (still,) = [a for a in advise(Dataset((made(NOISE, r2=0.1 + 1e-6 * NOISE),))) if a.kind == "schedule-span"]
     assert still.severity == "warning"
+
+
+def test_a_held_command_is_not_clipped_at_its_largest_level():
+    for seed in range(10):
+        u = np.repeat(np.random.default_rng(seed).uniform(-1.0, 1.0, 60), 20)
+        held = np.append(u, u[-1])[10::20]  # means over windows that meet the steps
+        for x in (u, np.convolve(u, np.ones(4) / 4, "valid"), np.repeat(held, 20)):
+            e = Experiment.from_arrays("a", 0.01, inputs={"u": x})
+            assert not [a for a in advise(Dataset((e,))) if a.kind == "clipped"]
+        clipped = np.clip(np.sin(0.05 * np.arange(1200)), -2.0, 0.8)
+        assert [a.kind for a in advise(Dataset((Experiment.from_arrays("a", 0.01, outputs={"y": clipped}),)))].count(
+            "clipped"
+        ) == 1

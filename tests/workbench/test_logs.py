@@ -224,3 +224,14 @@ def test_a_german_date_beside_clock_times_with_decimal_commas(tmp_path):
     np.testing.assert_allclose(e.t, np.arange(40))
     assert e.names == ("y",)
     assert e["y"][3] == 3.25
+
+
+def test_dates_with_times_are_the_time_whatever_their_name(tmp_path):
+    e = read_text(tmp_path, "Zeitpunkt;y\n" + "".join(f"2024-05-01 12:00:{k:02d};{k}\n" for k in range(40)))
+    np.testing.assert_allclose(e.t, np.arange(40))
+    assert "Zeitpunkt holds dates and clock times" in e.notes[0]
+
+
+def test_a_letter_is_no_table(tmp_path):
+    with pytest.raises(InputError, match="is no table of numbers"):
+        read_text(tmp_path, "Dear colleague\nthe log is in the other mail\nYours, K.\n")

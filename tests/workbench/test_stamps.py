@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from workbench.advice import quantum
 from workbench.data import bad_stamps
 from workbench.errors import InputError
 from workbench.sources import read
@@ -177,3 +178,11 @@ def test_a_counter_that_wraps_is_refused_at_once():
     k = np.arange(100_000)
     with pytest.raises(InputError, match="time goes back"):
         read(columns(0.01 * (k % 256), k))
+
+
+def test_what_is_filled_in_has_the_steps_of_the_sensor():
+    k = np.delete(np.arange(2000), [500, 901, 902])
+    (e,) = read(columns(k * 0.01, k) | {"y": np.round(3.0 * np.sin(0.013 * k), 2)})
+    assert len(e) == 2000
+    assert np.abs(e["y"] * 100 - np.rint(e["y"] * 100)).max() < 1e-9
+    assert quantum(e["y"]) == pytest.approx(0.01)

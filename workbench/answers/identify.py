@@ -234,7 +234,7 @@ def prepared(own: Dataset, held_out: Dataset | None, dt: float | None) -> Record
     own, thinner = thinned(own, dt)
     check_roles(own)
     if held_out:
-        held_out = thinned(held_out, own.dt)[0] if thinner else held_out
+        held_out = thinned(held_out, own.dt)[0] if thinner or dt else held_out
         check_held_out(own, held_out)
     return Records(own, held_out, (*read, *([f"{', '.join(own.names)}: {thinner}"] if thinner else [])))
 

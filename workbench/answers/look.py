@@ -138,16 +138,35 @@ class Look(Answer):
     @property
     def sentences(self) -> list[str]:
         """What there is, what could not be read, what the records cannot show: warnings first."""
+        return [
+            *(own.headline for own in self.sets),
+            *self.faults,
+            *(f"not read: {reason}" for reason in self.refused),
+            *(f"note: {note}" for own in self.sets for note in own.records.notes),
+            *self._advice,
+        ]
+
+    @property
+    def _advice(self) -> list[str]:
+        """What the records cannot show, warnings first, once for what is alike in several."""
         alike: dict[tuple[str, ...], list[Advice]] = {}
         for a in sorted((a for own in self.sets for a in own.advice), key=lambda a: a.severity != "warning"):
             alike.setdefault((a.kind, a.channel, a.severity), []).append(a)
-        return [
-            *(own.headline for own in self.sets),
-            *(f"not read: {reason}" for reason in self.refused),
-            *self.faults,
-            *(f"note: {note}" for own in self.sets for note in own.records.notes),
-            *(f"{own[0]}{f' (and alike in {len(own) - 1} more)' if len(own) > 1 else ''}" for own in alike.values()),
-        ]
+        return [f"{own[0]}{f' (and alike in {len(own) - 1} more)' if len(own) > 1 else ''}" for own in alike.values()]
+
+    @property
+    def _verdict(self) -> str:
+        """What there is, what is not, and how to go on."""
+        warnings = [sentence for sentence in self._advice if sentence.startswith("warning")]
+        count = len(self.refused)
+        told = [own.headline for own in self.sets]
+        if count:
+            told.append(f"{count} file{'s' * (count > 1)} could not be read: see below.")
+        if len(self.sets) > 1:
+            told.append("They do not fit together as one set of records: see below.")
+        first = f"{len(warnings)} warning{'s' * (len(warnings) > 1)}, the first: {warnings[0]}" if warnings else ""
+        told.append(first or "No warnings.")
+        return "\n\n".join([*told, *(f"To go on: {own.command}" for own in self.sets)])
 
     def to_dict(self) -> dict[str, Any]:
         """Records, channels, notes and advice, by set."""
@@ -189,9 +208,12 @@ class Look(Answer):
         """Channels, every record over time, spectra, where the inputs were over the schedule, and what to do next."""
         names = [name for own in self.sets for name in own.records.names]
         title = f"look: {', '.join(names[:4])}{f' and {len(names) - 4} more' if len(names) > 4 else ''}"
+        faults = [*(f"Not read: {reason}" for reason in self.refused), *self.faults]
+        texts = tuple(Text(fault.replace("\n  mend: ", "\n\nMend: ")) for fault in faults)
+        first = [Section("What is not there", texts)] if texts else []
         sections = [section for own in self.sets for section in _sections(own, len(self.sets) > 1)]
         source = source or _source(self)
-        return Report(title, "\n\n".join(self.sentences[:6]), (*sections, Section("Provenance", (Provenance(source),))))
+        return Report(title, self._verdict, (*first, *sections, Section("Provenance", (Provenance(source),))))
 
     def save(self, folder: str | Path, *, source: Mapping[str, Any] | None = None) -> Path:
         """Write look.json and report.html; returns the folder."""
@@ -229,7 +251,8 @@ def _facts(records: Dataset, channel: Channel) -> ChannelFacts:
     deviation = math.sqrt(math.fsum(float(np.sum((x - mean) ** 2)) for x in parts) / count)
     low, high = min(float(x.min()) for x in parts), max(float(x.max()) for x in parts)
     longest = max(parts, key=len)
-    return ChannelFacts(channel, low, high, mean, deviation, quantum(longest), _moves(longest[:TRIED], low, high))
+    resolution = next((q for x in sorted(parts, key=len, reverse=True) if (q := quantum(x)) > 0.0), 0.0)
+    return ChannelFacts(channel, low, high, mean, deviation, resolution, _moves(longest[:TRIED], low, high))
 
 
 def _moves(x: np.ndarray, low: float, high: float) -> str:
@@ -249,7 +272,9 @@ def _sections(own: RecordSet, several: bool) -> Iterator[Section]:
     rows = tuple((e.name, len(e), float(e.t[0]), float(e.t[-1]), e.dt, "; ".join(e.notes)) for e in own.records)
     records = Table("Records", ("record", "samples", "from [s]", "to [s]", "sample time [s]", "read as"), rows, digits=5)
     where = f": {', '.join(own.records.names[:3])}" if several else ""
-    yield Section(f"Channels{where}", (table(own), records, Text(f"To go on: {own.command}")))
+    yield Section(f"Channels{where}", (table(own), records))
+    if own.advice:
+        yield Section(f"What these records cannot show{where}", tuple(Text(str(a)) for a in dict.fromkeys(map(str, own.advice))))
     drawn = sorted(own.records, key=len, reverse=True)[:DRAWN]
     left = len(own.records) - len(drawn)
     more = (Text(f"The {left} shorter ones are not drawn: look at them alone."),) if left else ()
@@ -259,8 +284,6 @@ def _sections(own: RecordSet, several: bool) -> Iterator[Section]:
     pictures: list[Block] = [_visited(own.records, name, inputs) for name in schedules if inputs]
     if pictures:
         yield Section(f"Over the schedule{where}", tuple(pictures))
-    if own.advice:
-        yield Section(f"What these records cannot show{where}", (Text("\n\n".join(dict.fromkeys(map(str, own.advice)))),))
 
 
 def _trace(e: Experiment, channel: Channel) -> Trace:
