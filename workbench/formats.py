@@ -126,6 +126,13 @@ def on_one_clock(path: Path, groups: Sequence[Group]) -> tuple[Group, list[str]]
     t = np.concatenate([piece.t for piece in base[0].pieces])
     if (np.diff(t) <= 0).any():
         raise InputError("time goes back", file=path, channel=base[1].columns[0].name, mend="cut the file there")
+    stay = []
+    for found, group in kept:
+        if len(found.pieces) > 1 and found is not base[0] and not _on(found, t):
+            notes.append(f"{', '.join(c.name for c in group.columns)}: left out, for nothing is drawn over gaps")
+        else:
+            stay.append((found, group))
+    kept = stay
     low, high = (end(p.pieces[k].t[k] for p, _ in kept) for end, k in ((max, 0), (min, -1)))
     within = (t >= low - SAME * base[0].dt) & (t <= high + SAME * base[0].dt)
     if within.sum() < 3:
@@ -138,10 +145,7 @@ def on_one_clock(path: Path, groups: Sequence[Group]) -> tuple[Group, list[str]]
         stamps = np.concatenate([piece.t for piece in found.pieces])
         values = np.vstack([piece.values for piece in found.pieces])
         notes += [f"{names}: {note}" for note in found.notes]
-        same = len(stamps) == len(t) and np.abs(stamps - t).max() <= SAME * found.dt
-        if not same and len(found.pieces) > 1:
-            notes.append(f"{names}: left out, for nothing is drawn over gaps")
-            continue
+        same = _on(found, t)
         if not same:
             slower.append(f"{names} (every {found.dt:.4g} s)")
         for j, c in enumerate(group.columns):
@@ -150,6 +154,12 @@ def on_one_clock(path: Path, groups: Sequence[Group]) -> tuple[Group, list[str]]
     if not within.all():
         notes.append(f"taken from {low:g} to {high:g} s, where all channels are")
     return Group(t[within], tuple(columns)), notes
+
+
+def _on(found: Regular, t: np.ndarray) -> bool:
+    """Whether these are the stamps t (N,)."""
+    stamps = np.concatenate([piece.t for piece in found.pieces])
+    return len(stamps) == len(t) and bool(np.abs(stamps - t).max() <= SAME * found.dt)
 
 
 def _finite(path: Path, column: Column) -> np.ndarray:

@@ -14,7 +14,7 @@ are asked about.
 import codecs
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -97,7 +97,7 @@ def plain(path: Path, dt: float | None = None, text: str | None = None) -> Plain
         notes.append(f"line {rows[-1] + 1}, the last one, is cut off and left out")
         rows.pop()
     kept = _kept(path, cells, rows, names, layout.header + 1, notes)
-    time = _time(path, names, units, cells, rows, kept, layout.header + 1, dt)
+    time = _time(path, names, units, cells, rows, kept, layout.header + 1, dt, lambda j: _counting(cells, rows, j))
     if time is None:
         return None
     column, factor, said = time
@@ -260,7 +260,9 @@ def _kept(path, cells, rows: Sequence[int], names: list[str], line: int, notes: 
     return kept
 
 
-def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | None) -> tuple[int, float, list[str]] | None:
+def _time(
+    path, names, units, cells, rows, kept, line: int | None, dt: float | None, counting: Callable[[int], bool]
+) -> tuple[int, float, list[str]] | None:
     """The column of time, what its numbers are multiplied by (0: clock times), and a note where it is not in seconds already.
 
     With dt [s] it may be a column that counts samples, or ROWS. None where its times are no numbers or in no unit of time.
@@ -280,7 +282,7 @@ def _time(path, names, units, cells, rows, kept, line: int | None, dt: float | N
         clocks = [j for j in kept if rows and all(_dated(cells[k][j]) for k in rows if j < len(cells[k]))]
         if len(clocks) == 1 and not found:
             return clocks[0], 0.0, [f"{names[clocks[0]]} holds dates and clock times: t is 0 at the first"]
-        counter = next((j for j in kept if names[j].lower() in COUNTERS and _counting(cells, rows, j)), None)
+        counter = next((j for j in kept if names[j].lower() in COUNTERS and counting(j)), None)
         if dt and not found:
             if counter is None:
                 return ROWS, dt, [f"no time column: a sample every {dt:g} s, as asked"]
@@ -325,18 +327,20 @@ def counts(values: np.ndarray) -> bool:
 
 
 def _counting(cells: Sequence[Sequence[str]], rows: Sequence[int], column: int) -> bool:
-    """Whether a column counts samples; rows: none where that is told later."""
+    """Whether a column of text counts samples."""
     values = [number(cells[k][column].replace(",", ".")) for k in rows if column < len(cells[k])]
-    return not rows or (None not in values and counts(np.array(values, float)))
+    return None not in values and counts(np.array(values, float))
 
 
-def time_column(path: Path, names: Sequence[str], units: Sequence[str], dt: float | None) -> tuple[int, float, list[str]]:
+def time_column(
+    path: Path, names: Sequence[str], units: Sequence[str], dt: float | None, counting: Callable[[int], bool]
+) -> tuple[int, float, list[str]]:
     """The number of the column of time, what it is multiplied by for s, and a note where it is not in s already.
 
     dt [s]: between rows, which ROWS stands for, or between the numbers of a counter, where there is no column of time. Raises
-    InputError where there is none, or more than one, or its unit is none of time.
+    InputError where there is none, or more than one, or its unit is none of time. counting: whether a column counts samples.
     """
-    found = _time(path, names, units, [], [], range(len(names)), None, dt)
+    found = _time(path, names, units, [], [], range(len(names)), None, dt, counting)
     if found is None:
         raise InputError(f"no column of time in s among {', '.join(names)}", file=path, mend="name it t [s]")
     return found

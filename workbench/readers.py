@@ -489,13 +489,12 @@ def _with_stamps(path: Path, groups: Sequence[Group], dt: float | None) -> tuple
             continue
         names = [c.name for c in own.columns]
         try:
-            k, factor, said = time_column(path, names, [c.unit for c in own.columns], dt)
+            units, columns = [c.unit for c in own.columns], own.columns
+            k, factor, said = time_column(path, names, units, dt, lambda j, columns=columns: counts(columns[j].values))
         except InputError as reason:
             faults.append(reason)
             notes.append(f"{', '.join(names)}: no time, left out")
             continue
-        if k >= 0 and factor == dt and not counts(own.columns[k].values):
-            k, said = ROWS, [f"no time column: a sample every {dt:g} s, as asked"]
         t = factor * (own.columns[k].values if k != ROWS else np.arange(len(own.columns[0].values)))
         if not np.isfinite(t).all():
             raise InputError("has no number in each row", file=path, channel=names[k], mend="delete such rows")

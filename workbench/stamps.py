@@ -101,15 +101,18 @@ def _mended(table: _Rows, typical: float, names: Sequence[str], place: Place, no
         raise _error(place, table, typical)
     breaks = np.flatnonzero((steps < 0) | (steps > GAP * typical)) + 1
     breaks = breaks[~_filled_in(table, breaks, typical, names, notes)]
-    pieces = _cut(table, breaks, typical, place, notes)
+    pieces = _cut(table, _pieces(table, breaks), typical, place, notes)
     for own in pieces:
         _check_rate(own, place, typical)
     return [_without_holes(own, typical) for own in pieces]
 
 
-def _cut(table: _Rows, breaks: np.ndarray, dt: float, place: Place, notes: list[str]) -> list[_Rows]:
-    """The table in pieces that begin at the breaks, without those that are too short; refused where too much would be lost."""
-    pieces = [table.take(slice(*edges)) for edges in itertools.pairwise([0, *breaks, len(table.t)])]
+def _pieces(table: _Rows, breaks: np.ndarray) -> list[_Rows]:
+    return [table.take(slice(*edges)) for edges in itertools.pairwise([0, *breaks, len(table.t)])]
+
+
+def _cut(table: _Rows, pieces: list[_Rows], dt: float, place: Place, notes: list[str]) -> list[_Rows]:
+    """The pieces of a table without those that are too short; refused where too much would be lost."""
     kept = [own for own in pieces if len(own.t) >= FEWEST] if len(pieces) > 1 else pieces
     lost = sum(len(own.t) for own in pieces) - sum(len(own.t) for own in kept)
     if not kept or lost > LOST * len(table.t) or len(pieces) > PIECES:
@@ -136,14 +139,14 @@ def _coarse(table: _Rows, place: Place, notes: list[str]) -> list[Piece]:
     if len(breaks) > PIECES:
         return []
     certain = repeats > COARSE * len(steps)
-    pieces = [table.take(slice(*edges)) for edges in itertools.pairwise([0, *breaks, len(table.t)])]
-    lines = [_on_a_line(own, step) for own in pieces if len(own.t) >= FEWEST or len(pieces) == 1]
-    if not lines or any(own is None for own in lines):
+    pieces = _pieces(table, breaks)
+    lines = [_on_a_line(own) for own in pieces if len(own.t) >= FEWEST or len(pieces) == 1]
+    even = [own for own in lines if own]
+    if not even or len(even) < len(lines):
         if certain:
             raise _uneven(place, table, step)
         return []
-    kept = _cut(table, breaks, step, place, notes)
-    even = [own for own in map(_on_a_line, kept, itertools.repeat(step)) if own]
+    _cut(table, pieces, step, place, notes)
     dt = _mean_step([own.t for own in even])
     notes.append(f"stamps in steps of {step:.6g} s: samples taken as even, every {dt:.6g} s, within one step of them")
     return even
@@ -287,7 +290,7 @@ def _on_steps(filled: np.ndarray, measured: np.ndarray) -> np.ndarray:
     )
 
 
-def _on_a_line(table: _Rows, step: float) -> Piece | None:
+def _on_a_line(table: _Rows) -> Piece | None:
     """Even stamps from the rows in which a new stamp begins; None where some of these are off by more than a row."""
     t = table.t - table.t[0]
     k = np.flatnonzero(np.diff(t) > 0) + 1

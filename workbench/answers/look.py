@@ -210,7 +210,7 @@ class Look(Answer):
         title = f"look: {', '.join(names[:4])}{f' and {len(names) - 4} more' if len(names) > 4 else ''}"
         faults = [*(f"Not read: {reason}" for reason in self.refused), *self.faults]
         texts = tuple(Text(fault.replace("\n  mend: ", "\n\nMend: ")) for fault in faults)
-        first = [Section("What is not there", texts)] if texts else []
+        first = [Section("What could not be read or joined", texts)] if texts else []
         sections = [section for own in self.sets for section in _sections(own, len(self.sets) > 1)]
         source = source or _source(self)
         return Report(title, self._verdict, (*first, *sections, Section("Provenance", (Provenance(source),))))
