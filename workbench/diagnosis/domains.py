@@ -70,7 +70,9 @@ class _Points:
 
 
 def shown(plant: Plant, effects: EffectSizes, key: str, dataset: Dataset) -> Shown | None:
-    """The effect `key` of a plant with `effects`, in its domain, from all records; None where a time shift is the picture.
+    """The effect `key` of a plant with `effects`, in its domain, from all records whose runs last.
+
+    None where none does, and where a time shift is the picture.
 
     plant: with fitted parameters, without the effects. A phase belongs to the first record, so an angle is drawn from that alone.
     """
@@ -81,16 +83,19 @@ def shown(plant: Plant, effects: EffectSizes, key: str, dataset: Dataset) -> Sho
     if effect.domain is Domain.SHIFT:
         return None
     records = dataset.experiments[:1] if effect.domain is Domain.ANGLE else dataset.experiments
-    scenes = [_scene(plant, effects, slots[0], Dataset((e,))) for e in records]
+    scenes = [scene for e in records if (scene := _scene(plant, effects, slots[0], Dataset((e,))))]
+    if not scenes:
+        return None
     draw = _DRAWN.get(effect.domain, _missing_rate)
     return _gathered([draw(scene) for scene in scenes], effect.domain)
 
 
-def _scene(plant: Plant, effects: EffectSizes, slot: Slot, one: Dataset) -> _Scene:
+def _scene(plant: Plant, effects: EffectSizes, slot: Slot, one: Dataset) -> _Scene | None:
     found = along(replace(plant, effects={**plant.effects, **effects}), one).predictor
     t, eta = one.experiments[0].t - one.experiments[0].t[0], found.point.eta[0]
     own = np.array([other.key == slot.key for other in plant.slots])
-    return _Scene(t, slot.effect, slot.place, found, found.course(0), eta, np.where(own, plant.neutral, eta))
+    course = found.course(0)
+    return course and _Scene(t, slot.effect, slot.place, found, course, eta, np.where(own, plant.neutral, eta))
 
 
 # ---- one picture for each kind of domain -------------------------------------------------------------------------------

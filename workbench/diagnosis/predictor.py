@@ -189,11 +189,13 @@ class Predictor:
         assert run.full is not None
         return run.full[0] + np.einsum("kij,kj->ki", gain, np.nan_to_num(r.seen - run.measured[0]))
 
-    def course(self, i: int) -> Course:
-        """States and predictions along record i at the predictor's point."""
+    def course(self, i: int) -> Course | None:
+        """States and predictions along record i at the predictor's point; None where the run is lost."""
         r, gain, at, nx = self.records[i], self._gain_of_all(i), self.point, len(self.plant.states)
         run = self._run(r, at.p[None], at.eta[i][None], at.start[i][None], self._steered(i, drift=False, full=True))
         assert run.full is not None
+        if not (np.isfinite(run.full).all() and np.isfinite(gain).all()):
+            return None
         e = np.where(np.isfinite(r.seen), r.seen - run.measured[0], 0.0)
         missing = np.einsum("kij,kj->ki", gain[:, :nx], e) / self.plant.dt
         x, angle, inner, _ = np.split(run.full[0], [nx, self._inner, self._memories], axis=1)
@@ -219,7 +221,12 @@ class Predictor:
         return replace(self, noise=noise, lines=lines, passes=tuple(gains(x, noise.pushes, noise.measurement) for x in lines))
 
     def coarser(self) -> "Predictor":
-        """The same with as few integrator steps a sample as move all errors together by less than VISIBLE."""
+        """The same with as few integrator steps a sample as move all errors together by less than VISIBLE.
+
+        Beside dry friction these do not say enough: where it is steep a linearization that is not integrated finely is lost.
+        """
+        if self._rubs():
+            return self.finer()
         off, substeps = self._off(FINE * self.plant.substeps), max(FEWEST, self.plant.substeps // 4)
         while substeps < FINE * self.plant.substeps and off(substeps) > VISIBLE:
             substeps += 1
@@ -231,7 +238,7 @@ class Predictor:
         It holds a place where it is, which a wider law does not: there the place creeps, and a fit makes up for that by other
         levels, or one for each direction.
         """
-        if not any(np.any(self.point.eta[:, dry.sizes]) for dry in _dry_friction(self.plant)):
+        if not self._rubs():
             return self
         most, substeps = FINEST * self.plant.substeps, max(self.substeps, self.plant.substeps)
         off = self._off(most)
@@ -240,6 +247,10 @@ class Predictor:
         return replace(self, substeps=substeps)
 
     # ---- inside ------------------------------------------------------------------------------------------------------
+
+    def _rubs(self) -> bool:
+        """Whether dry friction acts at the point."""
+        return any(np.any(self.point.eta[:, dry.sizes]) for dry in _dry_friction(self.plant))
 
     def _off(self, fine: int) -> Callable[[int], float]:
         """By how much the errors of all records move, as a sum of squares, from `fine` integrator steps a sample to fewer."""
@@ -509,8 +520,8 @@ def _begun(made: Predictor) -> Predictor:
     return replace(made, lines=tuple(lines), passes=passes, carried=made._carried()).regained(made.point)
 
 
-def kept(made: Predictor) -> Predictor:
-    """The predictor with its pushes raised until its filter stays with the records; as it is where no filter does.
+def kept(made: Predictor, otherwise: Predictor | None = None) -> Predictor:
+    """The predictor with its pushes raised until its filter stays with the records; where none does `otherwise`, or as it is.
 
     An unstable plant that is off at the start, or that lacks something, is lost by a filter that trusts it.
     """
@@ -520,7 +531,7 @@ def kept(made: Predictor) -> Predictor:
             return tried
         noise = replace(tried.noise, process=RAISED * tried.noise.process, drift=RAISED * tried.noise.drift)
         tried = _begun(replace(made, noise=noise, passes=(), lines=()))
-    return made if _lost(tried) else tried
+    return (otherwise or made) if _lost(tried) else tried
 
 
 def _lost(made: Predictor) -> bool:

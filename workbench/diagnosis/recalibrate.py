@@ -63,6 +63,6 @@ def recalibrated(
         fit = gauss_newton(predictor, own, z, sizes, rounds=2, enough=2.0)
         z = fit.z
         predictor = predictor.regained(fit.point)
-        predictor = kept(predictor.with_noise(tuned(predictor))).coarser()
+        predictor = kept(predictor.with_noise(tuned(predictor)), otherwise=predictor).coarser()
     fit = gauss_newton(predictor, own, z, sizes, rounds=4)
     return Calibrated(replace(predictor, point=fit.point), fit)

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.strangers import case, registry
 from tests.workbench.diagnosis.cases import AXIS, PUSH, READING
 from workbench.data import Channel, Dataset, Experiment
+from workbench.diagnosis.calibrate import along
 from workbench.diagnosis.diagnosis import diagnose
+from workbench.diagnosis.domains import shown
 from workbench.diagnosis.predictor import FINEST, VISIBLE, Point, _dry_friction, predictor
 
 M, FV = AXIS.nominal
@@ -93,3 +96,32 @@ def test_what_sticks_is_coulomb_friction_of_its_level(seed):
     if cause.effect == "coulomb":
         level = cause.parameters["level"]
         assert abs(level.value - LEVEL) < 3.0 * (level.high - level.low) / (2 * 1.96)  # three standard deviations
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "record", "friction"),
+    [
+        (727, 0, {"coulomb@trolley": {"level": 1.5, "width": 5e-4}}),
+        (727, 0, {"coulomb@trolley": {"level": 1.5, "width": 1e-4}}),
+        # as it was named on a case whose page then could not be drawn
+        (
+            123000009, 2,
+            {"coulomb@trolley": {"level": 1.15768, "width": 4.501e-4},
+             "friction-jump@trolley": {"level": 0.66954, "width": 8.986e-4, "time": 19.0321}},
+        ),
+    ],
+)  # fmt: skip
+def test_a_plant_whose_friction_is_steep_is_not_lost_along_its_records(seed, record, friction):
+    """At 50 ms friction is stiff: gains from a linearization that is integrated too coarsely lose the record."""
+    e = case.draw(seed).records.experiments[record]
+    crane = registry.MACHINES["crane"].plant
+    found = along(replace(crane, effects=friction), Dataset((e,)))
+    assert np.isfinite(found.fit.cost)
+    course = found.predictor.course(0)
+    assert course is not None
+    x = list(crane.output_names).index("x")
+    assert np.sqrt(np.mean((course.predicted[:, x] - e["x"]) ** 2)) < 0.05 * np.ptp(e["x"])
+    drawn = shown(crane, friction, "coulomb@trolley", Dataset((e,)))
+    assert drawn is not None
+    assert np.isfinite(drawn.measured).all()
