@@ -32,7 +32,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, load_model
 from workbench.physics.linearised import linearised
 from workbench.provenance import provenance
-from workbench.report.blocks import Picture, Report, Section, Table
+from workbench.report.blocks import Badge, Brief, Picture, Report, Section, Standing, Table
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
 from workbench.sources import read
@@ -110,11 +110,21 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
         say(f"gain table -> {folder / 'gains.csv'}{others}")
     say(f"margins -> {folder / 'margins.csv'}")
     pictures = design_pictures({kind: inner}, models, bounds, found.scale)
-    sections, curves = [Section("Design", pictures)], _curve_pictures(whole)
+    first = next((block for block in pictures if isinstance(block, Picture)), None)
+    rest, curves = tuple(block for block in pictures if block is not first), _curve_pictures(whole)
+    sections = [Section("Design", (), rest)]
     sections += [Section("Curves of actuators, which the law inverts", curves)] * bool(curves)
     sections += [Section("What the diagnosis named", (_became(became),))] * bool(became)
-    said = " ".join(map(ended, (trial.sentence, _worst_said(found, over, model), *moved)))
-    page = Report(f"{kind} on {model.name}", said, tuple(sections))
+    worst = ended(_worst_said(found, over, model))
+    said = " ".join([ended(trial.sentence), worst, *map(ended, moved)])
+    kept = Badge(
+        "Margins",
+        f"|S| at most {over.sensitivity.max():.3f}",
+        worst,
+        Standing.OPEN if over.broken(bounds).any() else Standing.GOOD,
+    )
+    brief = _brief(f"Which {kind} for {model.name}?", trial, kept, moved, path, first)
+    page = Report(f"{kind} on {model.name}", said, tuple(sections), brief)
     say(f"pictures -> {write_report(page, folder)}")
     result = {
         "kind": kind, "objective": found.objective, "bounds": vars(bounds), "knots": found.knots, "margins": vars(over),
@@ -130,6 +140,14 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
         *(chosen.files if chosen else ()),
     ]
     return _finished(options, folder, path, result, read, say) or code
+
+
+def _brief(asked: str, trial: Trial, margins: Badge, moved: Sequence[str], path: Path | None, picture: Picture | None) -> Brief:
+    """Whether to go on with the law, one run of its loop, its margins, and how far loads move the outputs."""
+    run = Badge("One run", "LOST" if trial.lost else "kept", ended(trial.sentence), Standing.BAD if trial.lost else Standing.GOOD)
+    badges = [run, margins, *([Badge("Under load", "measured", ended(moved[0]), Standing.GOOD)] if moved else [])]
+    todo = f"Check it: workbench check --controller {path} .." if path else "Do not use it: one run of the loop is lost."
+    return Brief(asked, todo, tuple(badges), picture)
 
 
 def _tried_on(options: Namespace) -> Chosen | None:

@@ -20,7 +20,7 @@ from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
 from studies.experiments import measured
 from studies.loops import WINDING_LIMITS, benches
-from workbench.answers.check import counted, verdict_table
+from workbench.answers.check import STANDING, counted, verdict_table
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -32,7 +32,7 @@ from workbench.physics.controller import Controller
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.blocks import Block, Provenance, Report, Section, Table
+from workbench.report.blocks import Badge, Block, Brief, Provenance, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
@@ -44,7 +44,7 @@ from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre
 from workbench.robustness.loop import course_of, driven
 from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Margin, margin
-from workbench.robustness.verdict import Status, Verdict
+from workbench.robustness.verdict import Status, Verdict, overall
 from workbench.simulation import Scenario, simulate
 from workbench.verification.model import Open, on_model, opened
 from workbench.verification.part import Part
@@ -114,8 +114,8 @@ def main(
     ]
     sections = [
         Section("Verdicts", tuple(_verdicts(law) for law in checked)),
-        *(Section(f"{law.name} on the identified model", law.on_model.blocks) for law in checked if law.on_model.blocks),
-        *(Section(f"{law.name} on the worst machine", law.on_plant.blocks) for law in checked),
+        *(Section(f"{law.name} on the identified model", (), law.on_model.blocks) for law in checked if law.on_model.blocks),
+        *(Section(f"{law.name} on the worst machine", (), law.on_plant.blocks) for law in checked),
     ]
     scheduled: Any = designed.laws[bench.scheduled]
     sections.append(Section("Searched and tried at random", _against_random(model, errors, scheduled, quick, seed, progress)))
@@ -131,7 +131,8 @@ def main(
     for path in (folder / "robust-winding.json", json):
         if path:
             write_json(path, content)
-    page = Report("Robustness of the winding machine's loops", said, (*sections, Section("Provenance", (Provenance(source),))))
+    sections.append(Section("Provenance", (), (Provenance(source),)))
+    page = Report("Robustness of the winding machine's loops", said, tuple(sections), _brief(checked))
     path = write_report(page, folder)
     say(f"{said}\n\nreport: {path}")
     return path
@@ -140,6 +141,20 @@ def main(
 def verdict(laws: Sequence[Law]) -> str:
     """A line for each law."""
     return "\n\n".join(_said(law) for law in laws)
+
+
+def _brief(laws: Sequence[Law]) -> Brief:
+    """How each law stands."""
+    broken = [law.name for law in laws if overall(law.verdicts) is Status.FAILED]
+    whole = [law.name for law in laws if law.name not in broken]
+    todo = [f"Nothing breaks {', '.join(whole)}."] * bool(whole) + [f"Do not switch on: {', '.join(broken)}."] * bool(broken)
+    badges = []
+    for law in laws:
+        status = overall(law.verdicts)
+        open_ = [v.claim for v in law.verdicts if v.status is status and status in (Status.FAILED, Status.UNDECIDED)]
+        left = f" {'Broken' if status is Status.FAILED else 'Not decided'}: {'; '.join(open_[:2])}." if open_ else ""
+        badges.append(Badge(law.name, status.value, f"{counted(law.verdicts)}.{left}", STANDING[status]))
+    return Brief("Which loops keep what is asked on every machine that the records leave open?", " ".join(todo), tuple(badges))
 
 
 def _said(law: Law) -> str:

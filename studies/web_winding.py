@@ -6,9 +6,11 @@ Every stage is a command of the workbench that a user could type in the run's fo
 simulated, with one effect hidden in them that no later stage is told of, or they are the user's own.
 """
 
+import math
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 from plants import WEB_WINDING
 from studies.arguments import record_files, split_estimation
 from studies.stages import Done, Stage, run_stages
+from workbench.answers.check import STANDING
 from workbench.data import Experiment
 from workbench.errors import InputError
 from workbench.files import read_json, read_text, write_json, write_text
@@ -26,9 +29,10 @@ from workbench.readers import read_file
 from workbench.records import record
 from workbench.report import figures
 from workbench.report.archive import read_report
-from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import Badge, Block, Brief, Provenance, Report, Section, Table, Text
 from workbench.report.page import write_report
 from workbench.robustness.limits import load_limits
+from workbench.robustness.verdict import Status
 from workbench.sources import read
 from workbench.units import check_units
 
@@ -80,11 +84,11 @@ COMMANDS = ("--low", "V1=-2,V2=0", "--high", "V1=3,V2=3", "--rate", "V1=50,V2=50
 KEEP = 20.0  # deg on either side of the set-point, within which the MPC keeps the angle where it can
 LAWS = {"pid": "scheduled PID", "mpc": "LPV-MPC"}
 SHOWN = {  # sections of the pages of stages that the page of the chain shows; the rest is one click away
-    "models": ("Scores", "Measured and simulated"),
+    "models": ("Measured and simulated",),
     "diagnosis": ("What is missing", "Held-out records", "What is left", "Parameters", "What to measure next"),
     "pid": ("Margins", "Design"),
-    "check-pid": ("Verdicts", "On the identified model", "On the simulated plant"),
-    "check-mpc": ("Verdicts", "On the simulated plant"),
+    "check-pid": ("Verdicts",),
+    "check-mpc": ("Verdicts",),
 }
 
 
@@ -331,9 +335,15 @@ def _checked_said(found: Mapping[str, Any]) -> str:
     claims: dict[str, list[str]] = {}
     for v in found["verdicts"]:
         claims.setdefault(v["status"], []).append(v["claim"])
-    counts = ", ".join(f"{len(own)} {status}" for status, own in claims.items())
+    counts = _counted_said(found)
     rest = "".join(f" {status}: {'; '.join(claims[status])}." for status in ("FAILED", "UNDECIDED") if status in claims)
     return f"{found['status']} ({counts}).{rest}"
+
+
+def _counted_said(found: Mapping[str, Any]) -> str:
+    """How many verdicts of each kind."""
+    every = [v["status"] for v in found["verdicts"]]
+    return ", ".join(f"{every.count(status)} {status}" for status in dict.fromkeys(every))
 
 
 # ---- the page -------------------------------------------------------------------------------------------------------------
@@ -346,24 +356,86 @@ def _report(
         "diagnosis": "What the simulation gets wrong", "models": "Models", "pid": "Scheduled PID",
         "check-pid": "Is the scheduled PID safe", "check-mpc": "Is the MPC safe",
     }  # fmt: skip
-    parts = {name: _section(titles[name], name, done[name]) for name in titles}
+    pages = {name: read_report(done[name].folder) for name in titles}
+    parts = {name: _section(titles[name], name, pages[name]) for name in titles}
     loops = Section("Closed loop on the extended plant", _loops(folder))
     sections = [parts["diagnosis"], parts["models"], parts["pid"], loops, parts["check-pid"], parts["check-mpc"]]
     if hidden:
         sections.append(Section("What was hidden", (Text(_revealed(folder, hidden)),)))
-    sections.append(Section("Stages", (_stage_table(done),)))
+    sections.append(Section("Stages", (), (_stage_table(done),)))
     title = "Web winding machine: from records to verdicts" + " (quick look)" * quick
-    return Report(title, said, (*sections, Section("Provenance", (Provenance(source),))))
+    return Report(title, said, (*sections, Section("Provenance", (), (Provenance(source),))), _brief(folder, pages))
 
 
-def _section(title: str, name: str, done: Done) -> Section:
-    """What a stage's page says first, and the blocks of it that belong on the page of the chain."""
-    page = read_report(done.folder)
-    blocks: list[Block] = [Text(page.verdict), Text(f"All of it: {name}/report.html beside this page.")]
+def _brief(folder: Path, pages: Mapping[str, Report]) -> Brief:
+    """Which law, what to mend, and the badges of the model, the cause and the law's safety."""
+    errors = {law: _tracked(read_file(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
+    checks = {law: read_json(folder / f"check-{law}" / "check.json") for law in LAWS}
+    law, why = chosen({law: own["verdicts"] for law, own in checks.items()}, errors)
+    law = law or next(iter(LAWS))
+    model, cause = (_briefed(pages[name]).badges[0] for name in ("models", "diagnosis"))
+    diagnosed = _briefed(pages["diagnosis"])
+    status = Status(checks[law]["status"])
+    held = f"{LAWS[law]}: {_counted_said(checks[law])}."
+    held = f"{held[:1].upper()}{held[1:]}"
+    if status in (Status.UNDECIDED, Status.FAILED):
+        worst = next(v for v in checks[law]["verdicts"] if v["status"] == status.value)
+        held += (
+            f" {'Not decided' if status is Status.UNDECIDED else 'Broken'}: {worst['claim']}; {worst['sentence'].split(';')[0]}."
+        )
+    safety = Badge("Safety", status.value, held, STANDING[status])
+    return Brief(
+        "Which law, what does the simulation lack, and is the loop safe?",
+        f"{why}\n\n{diagnosed.todo}",
+        (replace(model, about="Model"), replace(cause, about="Cause"), safety),
+        diagnosed.picture,
+    )
+
+
+def _briefed(page: Report) -> Brief:
+    assert page.brief is not None  # every stage's page that is shown has one
+    return page.brief
+
+
+def chosen(
+    verdicts: Mapping[str, Sequence[Mapping[str, Any]]], errors: Mapping[str, Mapping[str, tuple[float, str]]]
+) -> tuple[str | None, str]:
+    """The law to take, and why, in a sentence; None where each breaks a limit.
+
+    What breaks nothing goes first, then what is proved stable, then the smaller errors, as a mean over outputs.
+    """
+    broken = {law: [v["claim"] for v in own if v["status"] == Status.FAILED.value] for law, own in verdicts.items()}
+    safe = [law for law in verdicts if not broken[law]]
+    if not safe:
+        return None, f"Switch none of the laws on: {'; '.join(f'{LAWS[law]} breaks {own[0]}' for law, own in broken.items())}."
+
+    def proved(law: str) -> bool:
+        of_loop = [v["status"] for v in verdicts[law] if v["claim"].startswith("stable")]
+        return bool(of_loop) and set(of_loop) == {Status.PROVED.value}
+
+    def size(law: str) -> float:
+        each = [errors[law][y][0] / max(errors[other][y][0] for other in errors) for y in errors[law]]
+        return float(np.mean(each)) if each else math.inf
+
+    best = min(safe, key=lambda law: (not proved(law), size(law)))
+    told = ["its stability is proved"] if proved(best) else []
+    for law in (law for law in verdicts if law != best):
+        less = 1.0 - size(best) / size(law)
+        beside = f"its errors are {100.0 * abs(less):.0f} % {'smaller' if less > 0.0 else 'larger'} than those of the {LAWS[law]}"
+        told.append(f"the {LAWS[law]} breaks {broken[law][0]}" if broken[law] else beside)
+    return best, f"Take the {LAWS[best]}: {'; '.join(told)}."
+
+
+def _section(title: str, name: str, page: Report) -> Section:
+    """The blocks of a stage's page that belong on the page of the chain; what it says in words is folded."""
+    blocks: list[Block] = []
+    more: list[Block] = [Text(page.verdict)]
     for own in page.sections:
         if own.title in SHOWN[name]:
-            blocks += [block for block in own.blocks if not isinstance(block, Provenance)]
-    return Section(title, tuple(blocks))
+            blocks += own.blocks
+            more += own.more
+    first = page.first if name != "diagnosis" else ()  # that picture begins the page
+    return Section(title, (*first, *blocks, Text(f"All of it: {name}/report.html beside this page.")), tuple(more))
 
 
 def _loops(folder: Path) -> tuple[Block, ...]:

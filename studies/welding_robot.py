@@ -51,7 +51,7 @@ from workbench.intervals.model import IntervalModel
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import Badge, Block, Brief, Provenance, Report, Section, Standing, Table, Text
 from workbench.report.page import write_report
 
 
@@ -132,6 +132,27 @@ def verdict(identified: Identified, judged: Judged, records: Records, quick: boo
     )
     text += "Use the one-step envelope to test measured values and to design a loop with; it says nothing about a free run."
     return text + " This was a quick look: few precisions and records, one sample time." * quick
+
+
+def _brief(identified: Identified, judged: Judged, records: Records) -> Brief:
+    """What to use the models for, and what their envelopes hold."""
+    one, unit = identified.models["one-box"], records.held_out.experiments[0].channel(OUTPUT).unit
+    step, free = judged.held("one-box", "one-step"), judged.held("one-box", "free-run")
+    box = judged.held("simulation-box", "free-run")
+    broken, silent = sum(judged.violations.values()), mean_radius(free) >= SAYS_NOTHING * one.unit_range
+    badges = (
+        Badge(
+            "Promise", "broken" if broken else "kept", f"{broken} estimation samples lie outside an envelope that holds them.",
+            Standing.BAD if broken else Standing.GOOD,
+        ),
+        Badge("One step ahead", f"{_inside(step):.1f} % inside", f"One box, within {_width(step, one, unit)}.", Standing.GOOD),
+        Badge(
+            "Free run", f"{_inside(box):.1f} % inside",
+            f"The simulation box, within {_width(box, one, unit)}{'; one box says nothing there' * silent}.", Standing.OPEN,
+        ),
+    )  # fmt: skip
+    todo = "Use the one-step envelope to test measured values and to design a loop with; trust no free run of it."
+    return Brief("What does an interval model of the robot hold of records that it has not seen?", todo, badges)
 
 
 def findings(identified: Identified, judged: Judged, records: Records) -> tuple[str, ...]:
@@ -268,8 +289,9 @@ def _report(
         Section("Provenance", (Provenance(source),)),
     ]
     return Report(
-        "Welding robot: what an interval model holds and costs", verdict(identified, judged, records, quick), tuple(sections)
-    )
+        "Welding robot: what an interval model holds and costs", verdict(identified, judged, records, quick), tuple(sections),
+        _brief(identified, judged, records),
+    )  # fmt: skip
 
 
 def _curves(curves: list[Experiment]) -> Block:

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from plants import WEB_WINDING
 from studies import web_winding
 from studies.stages import MARK
-from studies.web_winding import HIDDEN, Hidden, drawn, judged
+from studies.web_winding import HIDDEN, Hidden, chosen, drawn, judged
+from tests.workbench.report.browser import CHROMIUM, FLAGS
 from workbench.errors import InputError
 from workbench.readers import read_file
 from workbench.report.archive import read_report
@@ -80,6 +82,41 @@ def test_the_page_holds_every_stage_and_reads_again(chain):
     assert all(len(s.blocks) >= 2 for s in page.sections[:6])
     text = chain[1].read_text()
     assert not re.search(r'(?:src|href)="(?!#|data:|data/)', text)  # nothing is fetched
+
+
+def test_the_first_screen_says_law_cause_and_safety(chain):
+    brief = read_report(chain[0]).brief
+    assert brief is not None
+    assert [badge.about for badge in brief.badges] == ["Model", "Cause", "Safety"]
+    law = next(law for law, name in web_winding.LAWS.items() if f"Take the {name}" in brief.todo)
+    assert brief.badges[2].word == json.loads((chain[0] / f"check-{law}" / "check.json").read_text())["status"]
+    assert drawn(SEED).effect in brief.badges[1].sentence
+    assert brief.picture is not None
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_page_is_printed_on_eight_pages_at_most(chain, tmp_path):
+    path = tmp_path / "page.pdf"
+    subprocess.run([CHROMIUM, *FLAGS, f"--print-to-pdf={path}", chain[1].as_uri()], check=True, capture_output=True, timeout=120)
+    assert 2 <= len(re.findall(rb"/Type\s*/Page[^s]", path.read_bytes())) <= 8
+
+
+def test_which_law_is_taken():
+    """What breaks a limit is never taken; what is proved stable goes before smaller errors."""
+
+    def claims(stable, theta):
+        return [{"claim": "stable", "status": stable}, {"claim": "theta: high", "status": theta}]
+
+    errors = {"pid": {"w3": (2.0, "rad/s"), "theta": (1.0, "deg")}, "mpc": {"w3": (1.0, "rad/s"), "theta": (1.0, "deg")}}
+    law, said = chosen({"pid": claims("PROVED", "UNDECIDED"), "mpc": claims("UNDECIDED", "PASSED")}, errors)
+    assert (law, "its stability is proved; its errors are 33 % larger" in said) == ("pid", True)
+    law, said = chosen({"pid": claims("UNDECIDED", "PASSED"), "mpc": claims("UNDECIDED", "PASSED")}, errors)
+    assert (law, "25 % smaller" in said) == ("mpc", True)
+    law, said = chosen({"pid": claims("PROVED", "FAILED"), "mpc": claims("UNDECIDED", "PASSED")}, errors)
+    assert (law, "the scheduled PID breaks theta: high" in said) == ("mpc", True)
+    law, said = chosen({"pid": claims("FAILED", "PASSED"), "mpc": claims("UNDECIDED", "FAILED")}, errors)
+    assert law is None
+    assert "none of the laws" in said
 
 
 def test_a_second_run_computes_nothing_and_says_the_same(chain):

@@ -94,7 +94,7 @@ class Answer(ABC):
         raise InputError(f"no picture {title!r}", mend=f"there is: {known}")
 
     def _pictures(self) -> list[Picture]:
-        return [block for section in self.report().sections for block in section.blocks if isinstance(block, Picture)]
+        return [block for block in self.report().blocks if isinstance(block, Picture)]
 
     def _repr_html_(self) -> str:
         said = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in self.sentences)

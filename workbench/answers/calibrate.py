@@ -23,7 +23,7 @@ from workbench.physics.plant import Plant
 from workbench.progress import Progress, silent
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.blocks import Picture, Provenance, Report, Section, Table
+from workbench.report.blocks import Badge, Brief, Picture, Provenance, Report, Section, Standing, Table
 from workbench.report.figures import ParameterEstimate, Trace
 from workbench.report.page import write_report
 
@@ -106,14 +106,43 @@ class CalibrationResult(PlantAnswer):
         """Parameters, errors before and after, measured against simulated runs, starts and noise."""
         done, held_out = self.calibration, self.records.held_out is not None
         runs = {"before": self.before, "calibrated": self.after}
+        first = figures.parameters([estimate(p) for p in done.parameters])
+        drawn = tuple(traces(done.plant, runs))
         sections = (
-            Section("Parameters", (figures.parameters([estimate(p) for p in done.parameters]), _parameter_table(done))),
+            Section("Measured and simulated", drawn[:1], drawn[1:]),
+            Section("Parameters", (_parameter_table(done),)),
             Section("Errors before and after", (gain_table(self.gains, held_out),)),
-            Section("Measured and simulated", tuple(traces(done.plant, runs))),
-            Section("Starts and noise", (_start_table(done), _noise_table(done))),
-            Section("Provenance", (Provenance(source or self.source()),)),
+            Section("Starts and noise", (), (_start_table(done), _noise_table(done))),
+            Section("Provenance", (), (Provenance(source or self.source()),)),
         )
-        return Report(f"Calibration of {done.plant.name}", " ".join(self.sentences), sections)
+        return Report(f"Calibration of {done.plant.name}", " ".join(self.sentences), sections, self._brief(first))
+
+    def _brief(self, picture: Picture) -> Brief:
+        """Whether to go on with the fitted plant, what the records decide, and what it gains."""
+        done = self.calibration
+        told, odd = [p.name for p in done.parameters if p.told >= 0.5], [p for p in done.parameters if p.warning]
+        decided = Badge(
+            "Parameters", f"{len(told)} of {len(done.parameters)} decided",
+            f"{odd[0].name}: {ended(odd[0].warning)}" if odd else f"By these records: {', '.join(told) or 'none'}.",
+            Standing.OPEN if odd or not told else Standing.GOOD,
+        )  # fmt: skip
+        badges = [decided]
+        free = [g for g in self.gains if g.horizon == "full-run" and g.before > 0.0 and np.isfinite(g.after)]
+        if best := min(free, key=lambda g: g.after / g.before, default=None):
+            where = "a held-out record" if self.records.held_out is not None else "a fitted record: none was held out"
+            word = f"{error_said(best.before)} to {error_said(best.after)} {best.unit}".rstrip()
+            less = Standing.GOOD if best.after < best.before else Standing.OPEN
+            badges.append(Badge("Full-run error", word, f"{best.channel} of {best.record}, {where}.", less))
+        objected = [*self.objections, *(w for w in done.warnings if "say nothing" not in w)]
+        badges.append(
+            Badge(
+                "Fitted plant", "handed out" if self.handed_out else "NOT handed out",
+                ended(objected[0]) if objected else "Nothing speaks against it.",
+                Standing.BAD if self.objections else Standing.OPEN if objected else Standing.GOOD,
+            )
+        )  # fmt: skip
+        todo = "Go on with the fitted plant." if self.handed_out else "Keep the plant as it was: the fitted one is worse."
+        return Brief(f"Which parameters of {done.plant.name} do these records ask for?", todo, tuple(badges), picture)
 
     def extension(self, base: str = "", source: Mapping[str, Any] | None = None) -> Extension:
         return extension(self.nominal, base or self.nominal.name, self.calibration.values, {}, source)

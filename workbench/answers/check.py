@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from workbench.answers.answer import Answer, Records, as_dataset
+from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
@@ -27,7 +28,7 @@ from workbench.physics.plant import Plant
 from workbench.progress import Progress, silent
 from workbench.provenance import provenance
 from workbench.records import record
-from workbench.report.blocks import Provenance, Report, Section, Table
+from workbench.report.blocks import Badge, Brief, Picture, Provenance, Report, Section, Standing, Table
 from workbench.report.page import write_report
 from workbench.robustness.falsify.box import fitted_box, fitted_box_of
 from workbench.robustness.limits import LoopLimits, limits_of, load_limits
@@ -102,6 +103,7 @@ def check(
         parts.append(replace(part, verdicts=(*map(loop.told, part.verdicts), *loop.unsaid)))
     elif plant is not None and any((asked.stable, asked.margin, asked.sensitivity, asked.disk)):
         said = "asked of the loop itself: give --model and --records"
+        said = said if hasattr(controller, "at") else without_linear_form(controller)
         of_loop = claimed(replace(asked, limits=()))
         unsaid = tuple(Verdict(name, "no model", Status.UNDECIDED, math.nan, "", said) for name in of_loop)
         parts.append(Part("Not checked", unsaid))
@@ -180,11 +182,28 @@ class CheckResult(Answer):
 
     def report(self, source: Mapping[str, Any] | None = None) -> Report:
         """Verdicts, margins over the schedule, envelopes along the run, worst machines."""
+        brief = self.brief
         sections = [Section("Verdicts", (verdict_table(self.verdicts),))]
-        sections += [Section(part.title, part.blocks) for part in self.parts if part.blocks]
-        sections.append(Section("Provenance", (Provenance(dict(source or self.source())),)))
+        for part in self.parts:
+            blocks = [block for block in part.blocks if block is not brief.picture]
+            blocks.sort(key=lambda block: not isinstance(block, Picture))
+            sections += [Section(part.title, tuple(blocks[:1]), tuple(blocks[1:]))] if blocks else []
+        sections.append(Section("Provenance", (), (Provenance(dict(source or self.source())),)))
         said = headline(self.controller.name, self.status, self.verdicts, self.trial)
-        return Report(f"Check of {self.controller.name}", said, tuple(sections))
+        return Report(f"Check of {self.controller.name}", said, tuple(sections), brief)
+
+    @property
+    def brief(self) -> Brief:
+        """Whether the loop is safe, on the model and on the plant, and the run that comes nearest to a limit."""
+        lost = self.trial.lost
+        run = Badge("One run", "LOST" if lost else "kept", ended(self.trial.sentence), Standing.BAD if lost else Standing.GOOD)
+        pictures = [block for part in self.parts for block in part.blocks if isinstance(block, Picture)]
+        return Brief(
+            f"Is the loop with {self.controller.name} safe on every machine that is left open?",
+            _todo(self.controller.name, self.status, self.verdicts, self.trial),
+            (*(_badge(part) for part in self.parts if part.verdicts), run),
+            _nearest(self.verdicts, pictures),
+        )
 
     def save(self, folder: str | Path, *, base: str = "", own: str = "", source: Mapping[str, Any] | None = None) -> Path:
         """Write check.json, report.html and a file for each failure, which `workbench simulate --replay` runs again.
@@ -242,6 +261,45 @@ def after_trial(verdicts: Sequence[Verdict], trial: Trial) -> list[Verdict]:
         for v in verdicts
     ]
     return [*told, lost]
+
+
+STANDING = {
+    Status.PROVED: Standing.GOOD, Status.PASSED: Standing.GOOD, Status.UNDECIDED: Standing.OPEN, Status.FAILED: Standing.BAD
+}  # fmt: skip
+#: What would decide, in plain words.
+DECIDES = "More records, a calmer law (design with a lower --sensitivity) or a wider limit decide it."
+
+
+def _todo(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial) -> str:
+    """What to do with the law."""
+    if trial.lost:
+        return f"Do not switch {name} on: one run of the loop is lost."
+    worst = [v.claim for v in verdicts if v.status is status]
+    which = f"{'; '.join(worst[:2])}{f' and {len(worst) - 2} more' if len(worst) > 2 else ''}"
+    return {
+        Status.PROVED: f"Everything that was asked of {name} is proved, while no command is at its limit.",
+        Status.PASSED: f"Nothing that was asked of {name} could be broken; it was tried, not proved.",
+        Status.UNDECIDED: f"Nothing breaks {name}, but not all is decided: {which}. {DECIDES}",
+        Status.FAILED: f"Do not switch {name} on: it does not keep {which}.",
+    }[status]
+
+
+def _badge(part: Part) -> Badge:
+    """How a part stands, and of the worst verdict what it rests on."""
+    status = overall(part.verdicts)
+    worst = next(v for v in part.verdicts if v.status is status)
+    said = "" if status in (Status.PROVED, Status.PASSED) else f" {f'{worst.claim}: {worst.sentence}.'}"
+    return Badge(part.title, status.value, f"{counted(part.verdicts)}.{said}", STANDING[status])
+
+
+def _nearest(verdicts: Sequence[Verdict], pictures: Sequence[Picture]) -> Picture | None:
+    """The picture of the signal whose verdict is worst, of the smallest margin among equals."""
+    order = list(Status)
+    for v in sorted(verdicts, key=lambda v: (-order.index(v.status), math.inf if math.isnan(v.margin) else v.margin)):
+        for picture in pictures:
+            if picture.title.startswith(f"{v.claim.split(':')[0]} "):
+                return picture
+    return next(iter(pictures), None)
 
 
 def headline(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial | None = None) -> str:

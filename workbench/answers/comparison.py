@@ -14,7 +14,7 @@ from workbench.hammerstein import HammersteinWienerModel, Model
 from workbench.intervals.model import IntervalModel
 from workbench.metrics import Score
 from workbench.report import figures
-from workbench.report.blocks import Picture, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import Badge, Brief, Picture, Provenance, Report, Section, Standing, Table, Text
 from workbench.residuals import residual_test
 
 
@@ -82,12 +82,16 @@ def comparison(title: str, results: Sequence[ScoredModel], records: Sequence[Exp
     interval = [result.model for result in results if isinstance(result.model, IntervalModel)]
     envelopes = [c for result in results for c in result.envelopes]
     outputs = list(dict.fromkeys(s.output for s in scores))
+    shown = [traces(e, named, output) for e in records for output in outputs] if named else []
+    brief = _brief(results, shown)
     sections = [Section("Scores", tuple(figures.score_dots(scores, output) for output in outputs))]
     if interval:
         sections += envelope_sections(interval, envelopes, records)
     if named:
-        shown = tuple(traces(e, named, output) for e in records for output in outputs)
-        sections += [Section("Measured and simulated", shown), Section("Residuals", (residual_table(named, records),))]
+        rest = tuple(picture for picture in shown if picture is not brief.picture)
+        count = len(outputs) - 1  # of the first record, whose worst output is often above
+        sections += [Section("Measured and simulated", rest[:count], rest[count:])] if rest else []
+        sections.append(Section("Residuals", (residual_table(named, records),)))
     if curved:
         sections.append(
             Section("Static curves", tuple(curve_picture(model, curve) for model in curved for curve in model.curves))
@@ -95,8 +99,44 @@ def comparison(title: str, results: Sequence[ScoredModel], records: Sequence[Exp
     notes = [f"{result.model.name}: {note}" for result in results for note in result.model.notes]
     if notes:
         sections.append(Section("Notes", (Text("\n\n".join(notes)),)))
-    sections.append(Section("Numbers", (score_table(scores),)))
-    return Report(title, headline(results), (*sections, Section("Provenance", (Provenance(source),))))
+    sections.append(Section("Numbers", (), (score_table(scores), Provenance(source))))
+    return Report(title, headline(results), tuple(sections), brief)
+
+
+FOLLOWS = 80.0  # free-run FIT in percent from which on a model is one to design on without a second thought
+
+
+def _brief(results: Sequence[ScoredModel], shown: Sequence[Picture]) -> Brief:
+    """The model to go on with, how it follows records that it has not seen, and what speaks against it.
+
+    shown: runs over the measured ones, of which the one that is followed least is seen first.
+    """
+    against = [sentence for result in results for sentence in result.against]
+    fits = {r.model.name: own for r in results if not r.against and (own := _free([*r.scores]))}
+    badges, todo, first = [], "No model is handed out.", next(iter(shown), None)
+    if fits:
+        best = max(fits, key=lambda name: min(s.FIT for s in fits[name]))
+        worst = min(fits[best], key=lambda s: s.FIT)
+        first = next((own for own in shown if own.title == f"{worst.output}, record {worst.record}"), first)
+        file = next(r.file for r in results if r.model.name == best)
+        todo = f"Go on with {best}{f': {file}' if file else ''}."
+        standing = Standing.GOOD if worst.FIT >= FOLLOWS else Standing.OPEN if worst.FIT > 0.0 else Standing.BAD
+        where = "a held-out record" if worst.split == "held-out" else "a record that it was fitted to: none was held out"
+        said = f"Free run of {best} where it follows least: {worst.output} of {worst.record}, {where}."
+        badges.append(Badge("Model", f"FIT {worst.FIT:.0f} % or more", said, standing))
+        others = [f"{name} {min(s.FIT for s in own):.0f} %" for name, own in fits.items() if name != best]
+        badges += [Badge("Others", ", ".join(others), "Their FIT where they follow least.", Standing.GOOD)] if others else []
+    for c in (c for r in results for c in r.envelopes[:1]):
+        badges.append(Badge("Envelope", f"{100.0 * c.coverage:.1f} % inside", covered_verdict([c]), Standing.GOOD))
+    objected = Badge("Objections", str(len(against)), f"{against[0]}.", Standing.BAD) if against else None
+    badges.append(objected or Badge("Objections", "none", "No model is worse than the mean of a record.", Standing.GOOD))
+    return Brief("Which model follows records that it has not seen?", todo, tuple(badges), first)
+
+
+def _free(scores: Sequence[Score]) -> list[Score]:
+    """Free runs on held-out records, or on all where there are none."""
+    free = [s for s in scores if s.horizon == "free-run"]
+    return [s for s in free if s.split == "held-out"] or free
 
 
 def headline(results: Sequence[ScoredModel]) -> str:

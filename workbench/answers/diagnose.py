@@ -13,7 +13,7 @@ import numpy as np
 
 from workbench.answers.answer import Answer, PlantAnswer, Records, prepared, texts
 from workbench.answers.calibrate import traces
-from workbench.answers.verdict import ended, next_step, sentences, stated, where
+from workbench.answers.verdict import advice, ended, next_step, sentences, sizes, stated, where
 from workbench.data import Channel, Dataset, Experiment
 from workbench.diagnosis.answer import Cause, Diagnosis, Finding, NextExperiment
 from workbench.diagnosis.calibrate import Trajectory, trajectories
@@ -28,7 +28,7 @@ from workbench.progress import Progress, silent
 from workbench.readers import write_csv
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.blocks import Block, Picture, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import Badge, Block, Brief, Picture, Provenance, Report, Section, Standing, Table, Text
 from workbench.report.figures import ParameterEstimate, Trace
 from workbench.report.page import write_report
 
@@ -213,21 +213,67 @@ def page(answer: DiagnosisResult, source: Mapping[str, Any]) -> Report:
     nominal = extension(plant, "", found.parameters).of(plant)
     named = {"recalibrated": at.recalibrated, "extended": at.extended}
     runs = traces(plant, named if found.effects else {"data sheet": at.data_sheet, "recalibrated": at.recalibrated})
+    missing = _cause_blocks(nominal, found, records.own, records.shown) if found.causes else ()
+    left = _left_blocks(plant, found) if found.remainder else ()
+    drawn = [block for block in (*missing, *left) if isinstance(block, Picture)]
+    told = min(runs, key=lambda picture: picture is not _of_best(at.errors, runs)) if runs else None
+    first = next(iter(drawn), told)
+    shown, rest = [told] if told and told is not first else [], [own for own in runs if own is not told]
+
+    def without(blocks: Sequence[Block]) -> tuple[Block, ...]:
+        return tuple(block for block in blocks if block is not first)
+
     sections = [
-        *([Section("What is missing", _cause_blocks(nominal, found, records.own, records.shown))] if found.causes else []),
+        *([Section("What is missing", without(missing))] if found.causes else []),
         Section(
             "Held-out records" if held_out else "Records",
-            (_stage_table(at.errors, held_out), *_gain_tables(found, held_out), *runs),
+            (*shown, _stage_table(at.errors, held_out)), (*_gain_tables(found, held_out), *rest),
         ),
-        *([Section("What is left", _left_blocks(plant, found))] if found.remainder else []),
-        Section("Parameters", _parameter_blocks(plant, found)),
+        *([Section("What is left", without(left))] if found.remainder else []),
+        Section("Parameters", *_split(_parameter_blocks(plant, found))),
         Section("What to measure next", _next_blocks(plant, found)),
-        Section("What these records can show", _reach_blocks(found)),
-        *([Section("Notes", texts(found.notes))] if found.notes else []),
-        Section("Provenance", (Provenance(source),)),
-    ]
+        Section("What these records can show", (), _reach_blocks(found)),
+        *([Section("Notes", (), texts(found.notes))] if found.notes else []),
+        Section("Provenance", (), (Provenance(source),)),
+    ]  # fmt: skip
     said = [*map(ended, found.objections), *answer.sentences]
-    return Report(f"Diagnosis of {found.plant}", "\n\n".join(said), tuple(sections))
+    return Report(f"Diagnosis of {found.plant}", "\n\n".join(said), tuple(sections), _brief(answer, first))
+
+
+def _split(blocks: tuple[Block, ...]) -> tuple[tuple[Block, ...], tuple[Block, ...]]:
+    """The first block, and what is folded."""
+    return blocks[:1], blocks[1:]
+
+
+def _of_best(errors: Sequence[StageError], runs: Sequence[Picture]) -> Picture | None:
+    """The run in which the extended plant gains most over the data sheet."""
+    gained = sorted(errors, key=lambda e: e.extended / e.data_sheet if e.data_sheet > 0.0 else np.inf)
+    titles = {picture.title: picture for picture in runs}
+    return next((titles[title] for e in gained if (title := f"{e.channel}, record {e.record}") in titles), None)
+
+
+def _brief(answer: DiagnosisResult, picture: Picture | None) -> Brief:
+    """What to mend, the cause with its size, what naming it gains, and whether the extended plant is handed out."""
+    found = answer.diagnosis
+    unsure = any(cause.doubt or cause.ties for cause in found.causes) or found.finding is Finding.INCOMPLETE
+    standing = Standing.BAD if found.finding is Finding.UNKNOWN else Standing.OPEN if unsure else Standing.GOOD
+    said = "; ".join(f"{cause.key}: {sizes(cause)}" for cause in found.causes[:2])
+    left = ended(found.remainder[0].sentence) if found.remainder else "No effect of the catalogue explains these records."
+    none = "These records show no effect of the catalogue." if found.finding is Finding.NOTHING else left
+    badges = [Badge("Cause", found.finding.value, f"{said}." if said else none, standing)]
+    on = "held-out records" if answer.records.held_out is not None else "these records: none was held out"
+    if best := min(
+        (e for e in answer.stages.errors if e.data_sheet > 0.0), key=lambda e: e.extended / e.data_sheet, default=None
+    ):
+        word = f"{best.data_sheet:.3g} to {best.extended:.3g} {best.unit}".rstrip()
+        less = Standing.GOOD if best.extended < best.data_sheet else Standing.OPEN
+        badges.append(Badge("Full-run error", word, f"{best.channel} of {best.record}, data sheet to extended; {on}.", less))
+    objection = [*found.objections, *found.signs]
+    stands = Standing.BAD if found.objections else Standing.OPEN if found.signs else Standing.GOOD
+    word = "handed out" if answer.handed_out else "NOT handed out"
+    told = ended(objection[0]) if objection else "Nothing speaks against it."
+    badges.append(Badge("Extended plant", word, told, stands))
+    return Brief(f"What does the simulation of {found.plant} get wrong on these records?", advice(found), tuple(badges), picture)
 
 
 def _cause_blocks(nominal: Plant, found: Diagnosis, own: Dataset, held: Dataset) -> tuple[Block, ...]:
@@ -259,8 +305,9 @@ def _shifted(nominal: Plant, found: Diagnosis, cause: Cause, one: Dataset) -> Pi
     others = {key: numbers for key, numbers in found.effects.items() if key != cause.key}
     old, new = (trajectories(extension(nominal, "", {}, effects).of(nominal), one)[0] for effects in (others, found.effects))
     seen = [i for i in range(len(nominal.outputs)) if np.isfinite(old.measured[:, i]).all()]
-    away = [np.nanmean((new.simulated[:, i] - old.simulated[:, i]) ** 2) / np.var(old.measured[:, i]) for i in seen]
-    i = next((i for i in seen if nominal.output_names[i] == cause.place), seen[int(np.nanargmax(away))])
+    change = np.nan_to_num(new.simulated - old.simulated)  # as far as both last
+    away = [np.mean(change[:, i] ** 2) / np.var(old.measured[:, i]) for i in seen]
+    i = next((i for i in seen if nominal.output_names[i] == cause.place), seen[int(np.argmax(away))])
     y = old.measured[:, i]
     lasts = np.isfinite(old.simulated[1:, i] + new.simulated[1:, i])
     middle = int(np.argmax(np.abs(np.convolve(np.diff(y), np.ones(3), "same")) * (lasts if lasts.any() else 1.0)))

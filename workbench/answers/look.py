@@ -8,6 +8,7 @@ found.save("runs/looked")   # look.json, report.html
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.records import field, record
 from workbench.report import figures
-from workbench.report.blocks import Block, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import Badge, Block, Brief, Picture, Provenance, Report, Section, Standing, Table, Text
 from workbench.report.figures import Trace
 from workbench.report.page import write_report
 from workbench.sources import Names, read, read_files
@@ -213,7 +214,22 @@ class Look(Answer):
         first = [Section("What could not be read or joined", texts)] if texts else []
         sections = [section for own in self.sets for section in _sections(own, len(self.sets) > 1)]
         source = source or _source(self)
-        return Report(title, self._verdict, (*first, *sections, Section("Provenance", (Provenance(source),))))
+        picture, sections = _first(sections)
+        provenance = Section("Provenance", (), (Provenance(source),))
+        return Report(title, self._verdict, (*first, *sections, provenance), self._brief(picture))
+
+    def _brief(self, picture: Picture | None) -> Brief:
+        """The command to go on with, what there is, what was not read, and the first warning."""
+        warnings = [sentence for sentence in self._advice if sentence.startswith("warning")]
+        count = sum(len(own.records) for own in self.sets)
+        badges = [Badge("Records", str(count), own.headline, Standing.GOOD) for own in self.sets[:1]]
+        unread = [*self.refused, *self.faults]
+        told = unread[0].split("\n")[0] if unread else "Every file was read, as one set of records."
+        badges.append(Badge("Not read", str(len(self.refused)), told, Standing.BAD if unread else Standing.GOOD))
+        said = warnings[0].removeprefix("warning: ") if warnings else "Nothing speaks against these records."
+        badges.append(Badge("Warnings", str(len(warnings)), said, Standing.OPEN if warnings else Standing.GOOD))
+        todo = "\n\n".join(f"Go on: {own.command}" for own in self.sets[:2])
+        return Brief("What do these records hold, and what can they not show?", todo, tuple(badges), picture)
 
     def save(self, folder: str | Path, *, source: Mapping[str, Any] | None = None) -> Path:
         """Write look.json and report.html; returns the folder."""
@@ -284,6 +300,13 @@ def _sections(own: RecordSet, several: bool) -> Iterator[Section]:
     pictures: list[Block] = [_visited(own.records, name, inputs) for name in schedules if inputs]
     if pictures:
         yield Section(f"Over the schedule{where}", tuple(pictures))
+
+
+def _first(sections: Sequence[Section]) -> tuple[Picture | None, list[Section]]:
+    """The first picture, and the sections without it."""
+    picture = next((block for own in sections for block in own.blocks if isinstance(block, Picture)), None)
+    rest = [replace(own, blocks=tuple(block for block in own.blocks if block is not picture)) for own in sections]
+    return picture, [own for own in rest if own.blocks or own.more]
 
 
 def _trace(e: Experiment, channel: Channel) -> Trace:

@@ -65,6 +65,22 @@ def _headline(found: Diagnosis) -> str:
     return HEADLINES[found.finding].format(plant=found.plant)
 
 
+def advice(found: Diagnosis) -> str:
+    """What to do, in a technician's words."""
+    if found.finding is Finding.NOTHING:
+        return "Trust the simulation: within what these records can show it lacks nothing."
+    if not found.causes:
+        return "Do not build on this simulation yet: it lacks something that has no name here."
+    sure = [cause for cause in found.causes if not cause.doubt and not cause.ties]
+    said = " ".join(ended(cause.sentence) for cause in (sure or found.causes)[:2])
+    if not sure:
+        rivals = [key for cause in found.causes for key in cause.ties]
+        apart = f"tell it from {' and '.join(rivals[:2])}" if rivals else "make it sure"
+        return f"Perhaps: {said} Go on with the extended plant, but {apart} before you mend the machine."
+    more = " Something more is missing: look at what is left." if found.finding is Finding.INCOMPLETE else ""
+    return f"{said} Mend that, or go on with the extended plant.{more}"
+
+
 def _named(cause: Cause, held_out: bool) -> str:
     """The cause with its size, what speaks against it, its gain and its rivals."""
     said = [stated(cause)]

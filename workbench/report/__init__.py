@@ -3,7 +3,21 @@
 The page needs no matplotlib; only `workbench.report.figures` imports it, and nothing else in the library does.
 """
 
-from workbench.report.blocks import Column, Data, Picture, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import (
+    Badge,
+    Brief,
+    Column,
+    Data,
+    Picture,
+    Provenance,
+    Report,
+    Section,
+    Standing,
+    Table,
+    Text,
+)
 from workbench.report.page import write_report
 
-__all__ = ["Column", "Data", "Picture", "Provenance", "Report", "Section", "Table", "Text", "write_report"]
+__all__ = [
+    "Badge", "Brief", "Column", "Data", "Picture", "Provenance", "Report", "Section", "Standing", "Table", "Text", "write_report",
+]  # fmt: skip

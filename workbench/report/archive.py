@@ -17,9 +17,24 @@ import numpy as np
 
 from workbench.errors import InputError
 from workbench.files import read_json, read_text
-from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Section, Table, Text
+from workbench.report.blocks import (
+    Badge,
+    Block,
+    Brief,
+    Cell,
+    Column,
+    Data,
+    Picture,
+    Provenance,
+    Report,
+    Section,
+    Standing,
+    Table,
+    Text,
+)
 
-SCHEMA = "workbench/report/1"
+SCHEMA = "workbench/report/2"
+FORMER = "workbench/report/1"  # without briefs and folded blocks
 BEST = {"max": max, "min": min}
 
 
@@ -29,7 +44,24 @@ def content_of(report: Report, files: Mapping[int, str]) -> dict[str, Any]:
         "schema": SCHEMA,
         "title": report.title,
         "verdict": report.verdict,
-        "sections": [{"title": s.title, "blocks": [_content(block, files) for block in s.blocks]} for s in report.sections],
+        "brief": report.brief and _brief_content(report.brief, files),
+        "sections": [
+            {
+                "title": s.title,
+                "blocks": [_content(block, files) for block in s.blocks],
+                "more": [_content(block, files) for block in s.more],
+            }
+            for s in report.sections
+        ],
+    }
+
+
+def _brief_content(brief: Brief, files: Mapping[int, str]) -> dict[str, Any]:
+    return {
+        "asked": brief.asked,
+        "todo": brief.todo,
+        "badges": [vars(own) | {"standing": own.standing.value} for own in brief.badges],
+        "picture": brief.picture and _content(brief.picture, files),
     }
 
 
@@ -63,15 +95,34 @@ def read_report(folder: str | Path) -> Report:
     if not path.is_file():
         raise InputError("holds no report.json", file=folder, mend="name the folder of a run")
     content = read_json(path)
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+    if not isinstance(content, dict) or content.get("schema") not in (SCHEMA, FORMER):
         raise InputError("is no report of this version", file=path, mend="run the command again that wrote it")
     try:
-        sections = [Section(s["title"], tuple(_block(b, path.parent) for b in s["blocks"])) for s in content["sections"]]
+        sections = [
+            Section(s["title"], *(tuple(_block(b, path.parent) for b in s.get(own, [])) for own in ("blocks", "more")))
+            for s in content["sections"]
+        ]
         if not (isinstance(content["title"], str) and isinstance(content["verdict"], str)):
             raise TypeError("title and verdict are texts")
-        return Report(content["title"], content["verdict"], tuple(sections))
+        brief = _brief(content["brief"], path.parent) if content.get("brief") else None
+        return Report(content["title"], content["verdict"], tuple(sections), brief)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as reason:
         raise InputError(f"is damaged: {reason!r}", file=path, mend="run the command again that wrote it") from None
+
+
+def _brief(content: Mapping[str, Any], folder: Path) -> Brief:
+    texts = [
+        content["asked"],
+        content["todo"],
+        *(own[name] for own in content["badges"] for name in ("about", "word", "sentence")),
+    ]
+    if not all(isinstance(text, str) for text in texts):
+        raise TypeError("a brief consists of texts")
+    badges = tuple(Badge(**own | {"standing": Standing(own["standing"])}) for own in content["badges"])
+    picture = _block(content["picture"], folder) if content["picture"] else None
+    if not isinstance(picture, Picture | None):
+        raise TypeError("the first picture is none")
+    return Brief(content["asked"], content["todo"], badges, picture)
 
 
 def _block(content: Mapping[str, Any], folder: Path) -> Block:
@@ -111,9 +162,10 @@ def joined(title: str, verdict: str, parts: Mapping[str, Report]) -> Report:
     """One page of several: every part's verdict and sections under its name, where they come from at the end."""
     sections, sources = [], []
     for name, part in parts.items():
-        sections.append(Section(f"{name}: {part.title}", (Text(part.verdict),)))
+        sections.append(Section(f"{name}: {part.title}", (Text(part.verdict), *part.first)))
         for own in part.sections:
-            said = [b for b in own.blocks if not isinstance(b, Provenance)]
-            sources += [Provenance(b.content, f"{name}: {b.title}") for b in own.blocks if isinstance(b, Provenance)]
-            sections += [Section(f"{name}: {own.title}", tuple(said))] if said else []
-    return Report(title, verdict, (*sections, *([Section("Provenance", tuple(sources))] if sources else [])))
+            said, more = (tuple(b for b in blocks if not isinstance(b, Provenance)) for blocks in (own.blocks, own.more))
+            from_ = [b for b in (*own.blocks, *own.more) if isinstance(b, Provenance)]
+            sources += [Provenance(b.content, f"{name}: {b.title}") for b in from_]
+            sections += [Section(f"{name}: {own.title}", said, more)] if said or more else []
+    return Report(title, verdict, (*sections, *([Section("Provenance", (), tuple(sources))] if sources else [])))

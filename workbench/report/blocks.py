@@ -4,7 +4,8 @@ Report("Web winding machine", "SSM names ...", (Section("Models", (picture, tabl
 """
 
 import html
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -104,16 +105,61 @@ Block = Picture | Table | Text | Provenance
 
 @record
 class Section:
-    """A part of a report under its own heading."""
+    """A part of a report under its own heading; more: what is folded until a reader opens it, and printed only if open."""
 
     title: str
     blocks: tuple[Block, ...]
+    more: tuple[Block, ...] = ()
+
+
+class Standing(Enum):
+    """How a thing stands that a reader decides by."""
+
+    GOOD = "good"
+    OPEN = "open"
+    BAD = "bad"
+
+
+@record
+class Badge:
+    """One thing that a reader decides by: what it is about, how it stands, in a word or a number, and in one plain sentence."""
+
+    about: str
+    word: str
+    sentence: str
+    standing: Standing
+
+
+@record
+class Brief:
+    """What a reader must know on the first screen: the question, what to do, the badges, and the one picture that shows most."""
+
+    asked: str
+    todo: str
+    badges: tuple[Badge, ...] = ()
+    picture: Picture | None = None
 
 
 @record
 class Report:
-    """A title, the verdict in a paragraph or a few, an empty line between them, and what it rests on."""
+    """A title, the verdict in a paragraph or a few, an empty line between them, and what it rests on.
+
+    With a brief the page begins with that, and the verdict in full is one click away.
+    """
 
     title: str
     verdict: str
     sections: tuple[Section, ...] = ()
+    brief: Brief | None = None
+
+    @property
+    def first(self) -> tuple[Picture, ...]:
+        """The picture of the brief, where there is one."""
+        return (self.brief.picture,) if self.brief and self.brief.picture else ()
+
+    @property
+    def blocks(self) -> Iterator[Block]:
+        """All of them, in the order of the page."""
+        yield from self.first
+        for section in self.sections:
+            yield from (*section.blocks, *section.more)

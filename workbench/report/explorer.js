@@ -2,7 +2,8 @@
 (() => {
   const SMALL = 150, LARGE = 270, TOP = 18, BOTTOM = 34, LEFT = 64, RIGHT = 12, COLOURS = 6;
   const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
-  const plain = name => /measured|set-point/.test(name);
+  const plain = name => /measured|set-point/.test(name) && !/^error of /.test(name);
+  const bound = name => /limit|asked|^sensitivity /.test(name);
   const make = (tag, text, more) => Object.assign(document.createElement(tag), text ? {textContent: text} : {}, more || {});
   const short = v => !isFinite(v) ? "\u2013"
     : Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(2) : String(+v.toPrecision(5));
@@ -52,13 +53,35 @@
     return columns;
   }
 
+  const panel = c => (c.error ? "error " : "") + c.unit;
+
+  // measured minus what each model makes of it, in a panel of their own
+  function errors(columns) {
+    const one = columns.filter(c => / measured$/.test(c.name) && !c.spread);
+    if (one.length !== 1) return [];
+    const [m] = one, own = m.name.slice(0, -"measured".length);
+    const models = columns.filter(c => c !== m && c.unit === m.unit && c.name.startsWith(own) && !/ (low|high)$/.test(c.name));
+    return models.map(c => (
+      {name: "error of " + c.name.slice(own.length), unit: m.unit, error: true, values: m.values.map((v, i) => v - c.values[i])}));
+  }
+
   // {kind, x, series: [{name, unit, colour, values}]}; of a family at: [..] and of: its column; in the plane series have an x too
   function view(columns, kind) {
     const x = columns[0], rest = columns.slice(1);
-    const count = {}; // colours begin anew in every panel
-    const next = c => plain(c.name) ? 0 : (count[c.unit] = (count[c.unit] || 0) + 1) - 1;
-    const series = own => own.map(c => { const i = next(c); return {...c, colour: i % COLOURS + 1, dashed: i >= COLOURS}; });
-    if (kind === "line") return {kind, x, series: series(rest)};
+    const count = {}, taken = {}; // colours begin anew in every panel; both ends of a band have one
+    const next = c => {
+      if (plain(c.name) || bound(c.name)) return 0;
+      const key = panel(c), own = key + c.name.replace(/ (low|high)$/, "");
+      if (!(own in taken)) taken[own] = (count[key] = (count[key] || 0) + 1) - 1;
+      return taken[own];
+    };
+    const series = own => own.map(c => {
+      const i = next(c);
+      return {...c, colour: i % COLOURS + 1, dashed: i >= COLOURS || bound(c.name)};
+    });
+    const spread = rest.findIndex(c => c.name === "standard deviation");
+    if (spread > 0) rest.splice(spread - 1, 2, {...rest[spread - 1], spread: rest[spread].values});
+    if (kind === "line") return {kind, x, series: series([...rest, ...errors(rest)])};
     if (kind === "family") {
       const starts = [0];
       for (let i = 1; i < x.values.length; i++) if (!(x.values[i] > x.values[i - 1])) starts.push(i);
@@ -97,7 +120,7 @@
     const to = v => log() ? Math.log10(v) : v, back = v => log() ? 10 ** v : v;
     const rows = () => shown.kind === "family" ? [part * shown.each, (part + 1) * shown.each] : [0, shown.x.values.length];
     const xs = s => s.x || shown.x.values;
-    const ink = s => plain(s.name) ? "measured" : "series-" + s.colour;
+    const ink = s => bound(s.name) ? "muted" : plain(s.name) ? "measured" : "series-" + s.colour;
 
     function extent(values, from, until) {
       let low = Infinity, high = -Infinity;
@@ -115,8 +138,11 @@
     function visible() { return shown.series.filter(s => !hidden.has(s.name)); }
     function panels() {
       if (shown.kind === "plane") return [{unit: "", series: visible()}];
-      const units = [...new Set(visible().map(s => s.unit))];
-      return units.map(unit => ({unit, series: visible().filter(s => s.unit === unit)}));
+      const keys = [...new Set(visible().map(panel))];
+      return keys.map(key => {
+        const series = visible().filter(s => panel(s) === key);
+        return {unit: series[0].unit, error: series[0].error, series};
+      });
     }
 
     function draw() {
@@ -141,7 +167,8 @@
           const x = xs(s);
           for (let i = a; i < b; i++) {
             const t = to(x[i]), v = s.values[i];
-            if (t >= low && t <= high && isFinite(v)) { bottom = Math.min(bottom, v); top = Math.max(top, v); }
+            const more = s.spread ? 2 * s.spread[i] : 0;
+            if (t >= low && t <= high && isFinite(v)) { bottom = Math.min(bottom, v - more); top = Math.max(top, v + more); }
           }
         }
         if (!(top >= bottom)) { bottom = 0; top = 1; }
@@ -161,13 +188,25 @@
           pen.fillText(short(back(v)), X(v), y0 + h + 5);
         }
         pen.textAlign = "left"; pen.textBaseline = "bottom";
-        if (panel.unit) pen.fillText("[" + panel.unit + "]", 4, y0 - 3);
+        const unit = (panel.error ? "error " : "") + (panel.unit ? "[" + panel.unit + "]" : "");
+        if (unit) pen.fillText(unit, 4, y0 - 3);
         pen.save(); pen.beginPath(); pen.rect(LEFT, y0, W, h); pen.clip();
+        if (plane) { // the point that no curve of a stable loop encloses
+          pen.strokeStyle = colour("ink");
+          pen.beginPath();
+          pen.moveTo(X(-1) - 6, Y(0)); pen.lineTo(X(-1) + 6, Y(0)); pen.moveTo(X(-1), Y(0) - 6); pen.lineTo(X(-1), Y(0) + 6);
+          pen.stroke();
+        }
+        for (const s of panel.series) {
+          const high = / low$/.test(s.name) && panel.series.find(o => o.name === s.name.slice(0, -4) + " high");
+          if (high) band(pen, s, high, v => X(to(v)), Y);
+        }
         for (const s of panel.series) {
           pen.strokeStyle = colour(ink(s));
           pen.lineWidth = 1.4; pen.setLineDash(s.dashed ? [5, 3] : []);
-          pen.beginPath();
           const x = xs(s);
+          if (s.spread) { points(pen, s, v => X(to(v)), Y); continue; }
+          pen.beginPath();
           let open = false, column = null, lo = 0, hi = 0, lastY = 0;
           const flush = () => { // samples of one column of the screen: from its lowest to its highest
             if (column !== null && hi !== lo) for (const y of [lo, hi, lastY]) pen.lineTo(column, y);
@@ -200,6 +239,23 @@
       });
       pen.fillStyle = muted; pen.textAlign = "center"; pen.textBaseline = "bottom";
       pen.fillText(shown.x.name + (shown.x.unit ? " [" + shown.x.unit + "]" : ""), LEFT + W / 2, height - 2);
+    }
+    function band(pen, low, high, X, Y) {
+      const [a, b] = rows(), x = xs(low), step = Math.max(1, Math.floor((b - a) / 4000));
+      pen.fillStyle = colour(ink(low)); pen.globalAlpha = .15;
+      pen.beginPath();
+      for (let i = a; i < b; i += step) if (isFinite(high.values[i])) pen.lineTo(X(x[i]), Y(high.values[i]));
+      for (let i = b - 1; i >= a; i -= step) if (isFinite(low.values[i])) pen.lineTo(X(x[i]), Y(low.values[i]));
+      pen.fill(); pen.globalAlpha = 1;
+    }
+    function points(pen, s, X, Y) { // means with two standard deviations
+      const [a, b] = rows(), x = xs(s);
+      pen.fillStyle = colour(ink(s)); pen.setLineDash([]);
+      for (let i = a; i < b; i++) if (isFinite(s.values[i])) {
+        const v = s.values[i], px = X(x[i]);
+        pen.beginPath(); pen.moveTo(px, Y(v - 2 * s.spread[i])); pen.lineTo(px, Y(v + 2 * s.spread[i])); pen.stroke();
+        pen.beginPath(); pen.arc(px, Y(v), 2.5, 0, 2 * Math.PI); pen.fill();
+      }
     }
     function lower(values, v, a, b) { // the first from a on that is not below v
       while (a < b) { const m = (a + b) >> 1; if (values[m] < v) a = m + 1; else b = m; }

@@ -21,7 +21,7 @@ import numpy as np
 from workbench.files import write_json, write_text
 from workbench.records import record
 from workbench.report.archive import content_of
-from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Table, Text
+from workbench.report.blocks import Block, Cell, Column, Data, Picture, Provenance, Report, Section, Table, Text
 from workbench.report.explorer import SCRIPT as EXPLORER
 from workbench.report.explorer import kind_of, packed
 from workbench.report.sheet import SCRIPT, STYLE
@@ -76,12 +76,7 @@ def html_text(report: Report) -> str:
 
 
 def _html(report: Report, numbers: Mapping[int, "_Numbers"]) -> str:
-    sections = [
-        f'<section aria-labelledby="s{i}"><h2 id="s{i}">{_escape(section.title)}</h2>\n'
-        + "\n".join(_block(block, f"s{i}-{j}", numbers.get(id(block))) for j, block in enumerate(section.blocks, 1))
-        + "</section>"
-        for i, section in enumerate(report.sections, 1)
-    ]
+    sections = [_section(section, f"s{i}", numbers) for i, section in enumerate(report.sections, 1)]
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -97,7 +92,7 @@ def _html(report: Report, numbers: Mapping[int, "_Numbers"]) -> str:
 {_contents(report)}
 <main id="main">
 <header><h1>{_escape(report.title)}</h1>
-<div class="verdict">{_paragraphs(report.verdict)}</div></header>
+{_head(report, numbers)}</header>
 {chr(10).join(sections)}
 </main>
 <script>{SCRIPT}{EXPLORER}</script>
@@ -106,9 +101,42 @@ def _html(report: Report, numbers: Mapping[int, "_Numbers"]) -> str:
 """
 
 
-def _with_data(report: Report) -> Iterator[Picture | Table]:
-    for section in report.sections:
-        yield from (block for block in section.blocks if isinstance(block, Picture | Table))
+def _head(report: Report, numbers: Mapping[int, "_Numbers"]) -> str:
+    """The verdict; with a brief that first, and the verdict folded."""
+    brief, verdict = report.brief, _paragraphs(report.verdict)
+    if brief is None:
+        return f'<div class="verdict">{verdict}</div>'
+    badges = "".join(
+        f'<li class="{own.standing.value}"><span>{_escape(own.about)}</span><strong>{_escape(own.word)}</strong>'
+        f"<p>{_escape(own.sentence)}</p></li>"
+        for own in brief.badges
+    )
+    shown = _block(brief.picture, "first", numbers.get(id(brief.picture))) if brief.picture else ""
+    return (
+        f'<p class="asked">{_escape(brief.asked)}</p>\n<div class="todo">{_paragraphs(brief.todo)}</div>\n'
+        f'{f"""<ul class="badges">{badges}</ul>""" if badges else ""}\n{shown}\n{_folded("The answer in full", verdict)}'
+    )
+
+
+def _section(section: Section, anchor: str, numbers: Mapping[int, "_Numbers"]) -> str:
+    blocks = [
+        _block(block, f"{anchor}-{j}", numbers.get(id(block))) for j, block in enumerate((*section.blocks, *section.more), 1)
+    ]
+    shown, more = ("\n".join(own) for own in (blocks[: len(section.blocks)], blocks[len(section.blocks) :]))
+    folded = _folded(f"More: {_counted(section.more)}", more) if section.more else ""
+    own = "" if section.blocks else ' class="folded"'
+    return f'<section aria-labelledby="{anchor}"{own}><h2 id="{anchor}">{_escape(section.title)}</h2>\n{shown}{folded}</section>'
+
+
+def _folded(summary: str, content: str) -> str:
+    return f"<details><summary>{_escape(summary)}</summary>\n{content}</details>"
+
+
+def _counted(blocks: Sequence[Block]) -> str:
+    """What is folded, in words."""
+    kinds = {"picture": Picture, "table": Table | Provenance, "text": Text}
+    count = {name: sum(isinstance(block, kind) for block in blocks) for name, kind in kinds.items()}
+    return ", ".join(f"{n} {name}{'s' * (n > 1)}" for name, n in count.items() if n)
 
 
 @record
@@ -121,7 +149,7 @@ class _Numbers:
 
 def _numbers(report: Report) -> dict[int, _Numbers]:
     """Of every block that has some, by the block's identity."""
-    every = enumerate(_with_data(report), 1)
+    every = enumerate((block for block in report.blocks if isinstance(block, Picture | Table)), 1)
     return {id(block): _Numbers(f"{i:02d}-{_slug(block.data.name)}.csv", csv_text(block.data)) for i, block in every}
 
 

@@ -20,7 +20,7 @@ h2{{font-size:1.35rem;margin:3.25rem 0 1rem;padding-top:.9rem;border-top:1px sol
 h3{{font-size:1rem;margin:0 0 .6rem}}
 p{{max-width:42rem;margin:.75rem 0;overflow-wrap:anywhere}}
 a{{color:var(--accent);text-underline-offset:.18em;text-decoration-thickness:.06em}}
-a:focus-visible,button:focus-visible,
+a:focus-visible,button:focus-visible,summary:focus-visible,
 [tabindex]:focus-visible{{outline:2px solid var(--accent);outline-offset:3px;border-radius:2px}}
 .skip{{position:absolute;left:-99rem}}
 .skip:focus{{left:1rem;top:1rem;background:var(--paper);padding:.5rem;z-index:2}}
@@ -29,6 +29,24 @@ a:focus-visible,button:focus-visible,
 .verdict p{{max-width:none;margin:.6rem 0}}
 .verdict p:first-child{{margin-top:0}}
 .verdict p:last-child{{margin-bottom:0}}
+.asked{{color:var(--muted);margin:0 0 .4rem}}
+.todo{{font-size:1.2rem;line-height:1.4;font-weight:600}}
+.todo p{{max-width:none;margin:.3rem 0}}
+.badges{{list-style:none;display:grid;grid-template-columns:repeat(auto-fit,minmax(13rem,1fr));gap:.8rem;
+ margin:1.1rem 0;padding:0}}
+.badges li{{background:var(--card);border-left:4px solid var(--muted);border-radius:0 6px 6px 0;padding:.6rem .9rem}}
+.badges .good{{border-color:var(--series-3)}}
+.badges .open{{border-color:var(--series-5)}}
+.badges .bad{{border-color:var(--series-2)}}
+.badges span{{color:var(--muted);font-size:.8rem;font-weight:600;display:block}}
+.badges strong::before{{margin-right:.4em}}
+.badges .good strong::before{{content:"\\2713";color:var(--series-3)}}
+.badges .open strong::before{{content:"?";color:var(--series-5)}}
+.badges .bad strong::before{{content:"\\2717";color:var(--series-2)}}
+.badges p{{margin:.15rem 0 0;font-size:.9rem;line-height:1.4}}
+details{{margin:1rem 0}}
+summary{{color:var(--accent);font-weight:600;cursor:pointer;padding:.4rem 0}}
+summary:hover{{text-decoration:underline}}
 nav{{grid-column:1;position:sticky;top:0;align-self:start;max-height:100vh;overflow-y:auto;padding:3.1rem .25rem 2rem 0;
  font-size:.85rem;line-height:1.35}}
 nav p{{margin:0 0 .6rem;color:var(--muted);font-weight:600}}
@@ -81,18 +99,36 @@ dialog button{{display:block;margin:0 0 .5rem auto}}
  body{{display:block;max-width:58rem;padding:0 1.1rem 3rem}}
  nav{{position:static;max-height:none;padding:1rem 0 0}}
  nav p,nav li ol{{display:none}}
- nav ol{{display:flex;flex-wrap:wrap;gap:.2rem 1.1rem}}
- h1{{font-size:1.6rem;margin-top:1.5rem}}
+ nav>ol{{display:flex;gap:.2rem 1.1rem;overflow-x:auto;white-space:nowrap}}
+ nav li{{margin:0}}
+ h1{{font-size:1.35rem;margin:.6rem 0}}
+ .todo{{font-size:1rem}}
+ .asked{{font-size:.9rem;line-height:1.35;margin:0 0 .3rem}}
+ .badges{{gap:.45rem;margin:.6rem 0}}
+ .badges li{{padding:.35rem .7rem}}
+ .badges li span{{display:inline;margin-right:.6em}}
+ .badges p{{font-size:.85rem;line-height:1.35;margin:0}}
  .verdict{{font-size:1.08rem;padding:.9rem 1.1rem}}
  dialog svg{{min-width:44rem}}
+}}
+@media (pointer:coarse){{
+ summary,nav a,.tools a,button{{min-height:44px;min-width:44px;display:inline-flex;align-items:center}}
+ button[hidden]{{display:none}}
 }}
 @media print{{
  body{{display:block;max-width:none;padding:0;font-size:10pt}}
  nav,.skip,.tools{{display:none}}
- figure,.table,.verdict{{break-inside:avoid}}
+ figure,tr,.verdict,.badges{{break-inside:avoid}}
+ .folded:not(:has(details[open])){{display:none}}
  h2,h3{{break-after:avoid}}
  .picture,.scroll{{overflow:visible}}
- .picture svg{{min-width:0}}
+ .picture svg{{min-width:0;max-height:58mm;width:auto;max-width:100%}}
+ figure,.table{{margin:.8rem 0 1rem}}
+ h1{{margin:0 0 .6rem;font-size:1.5rem}}
+ h2{{margin:1.2rem 0 .5rem}}
+ details:not([open]){{display:none}}
+ table{{font-size:8pt}}
+ th,td{{padding:.15rem .8rem .15rem 0}}
  @page{{margin:18mm 16mm}}
 }}
 @media (prefers-reduced-motion:reduce){{html{{scroll-behavior:auto}}}}

@@ -100,7 +100,8 @@ def test_keys_move_zoom_and_read_what_the_numbers_are(tmp_path):
     for text in (found["middle"], found["next"], found["first"]):
         time, values = read(text)
         i = int(np.argmin(np.abs(t - time)))
-        np.testing.assert_allclose(values, rows[i, 1:], rtol=1e-4, atol=1e-5)
+        errors = rows[i, 1] - rows[i, 2:]  # of each model, below the runs
+        np.testing.assert_allclose(values, [*rows[i, 1:], *errors], rtol=1e-4, atol=1e-5)
     assert len(columns) == rows.shape[1]
     assert read(found["next"])[0] - read(found["middle"])[0] == pytest.approx(0.04, abs=1e-6)  # one sample where it is zoomed in
     assert read(found["first"])[0] == 0.0
@@ -253,3 +254,48 @@ def test_nothing_in_the_numbers_ends_a_script():
     text = html_text(Report("t", "v", (Section("s", (evil,)),)))
     assert "</script><b>" not in text
     assert text.count("<script") == text.count("</script>") == 1
+
+
+@pytest.mark.slow
+@needs_browser
+def test_opened_pictures_keep_their_meaning(tmp_path):
+    """The error panel of a run, the band of an envelope, bars of a mean, and -1 with its circle are there as in the picture."""
+    t = np.linspace(0.0, 5.0, 60)
+    speed = Channel("n", "1/min", "output")
+    omega = np.exp(1j * np.linspace(0.0, 3.0, 40))
+    run = figures.measured_and_simulated("one", t, figures.Trace(speed, np.sin(t)), {"LTI": 0.9 * np.sin(t), "SSM": np.sin(t)})
+    envelope = figures.envelope(
+        "two", t, figures.Trace(speed, np.sin(t)), {"one-step": figures.Band(np.sin(t) - 1, np.sin(t) + 1)}
+    )
+    missing = figures.missing("cause", speed, figures.Trace(Channel("torque", "N m"), t), t, np.full(60, 0.2), t)
+    plane = figures.nyquist("Nyquist", {"loop of u": {"a": omega}}, 1.6)
+    page = write_report(Report("Page", "Verdict.", (Section("S", (run, envelope, missing, plane)),)), tmp_path)
+    got = asked(
+        page,
+        """
+        const drawn = {texts: [], arcs: 0, fills: 0}, pen = CanvasRenderingContext2D.prototype;
+        const spy = (name, note) => {
+          const own = pen[name];
+          pen[name] = function (...a) { note(a); return own.apply(this, a); };
+        };
+        spy("fillText", a => drawn.texts.push(a[0])); spy("arc", () => drawn.arcs++); spy("fill", () => drawn.fills++);
+        return [...document.querySelectorAll("figure")].map(f => {
+          Object.assign(drawn, {texts: [], arcs: 0, fills: 0});
+          f.querySelector(".explore").click();
+          const series = [...f.querySelectorAll(".series button")];
+          return {names: series.map(b => b.textContent), colours: series.map(b => b.style.cssText),
+                  texts: [...new Set(drawn.texts)], arcs: drawn.arcs, fills: drawn.fills};
+        });
+        """,
+    )
+    assert not got["errors"]
+    run, envelope, missing, plane = got["found"]
+    assert run["names"] == ["n measured", "n LTI", "n SSM", "error of LTI", "error of SSM"]
+    assert "error [1/min]" in run["texts"]
+    assert run["colours"][1:3] == run["colours"][3:5]  # a model has one colour in both panels
+    assert envelope["fills"] == 1
+    low, high = (envelope["colours"][envelope["names"].index(f"one-step {end}")] for end in ("low", "high"))
+    assert low == high
+    assert missing["arcs"] == missing["fills"] == 60
+    assert "standard deviation" not in missing["names"]
+    assert "sensitivity 1.6" in plane["names"]

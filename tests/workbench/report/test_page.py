@@ -16,7 +16,21 @@ from hypothesis import strategies as st
 
 from workbench.errors import InputError
 from workbench.records import RecordError
-from workbench.report import Column, Data, Picture, Provenance, Report, Section, Table, Text, page, write_report
+from workbench.report import (
+    Badge,
+    Brief,
+    Column,
+    Data,
+    Picture,
+    Provenance,
+    Report,
+    Section,
+    Standing,
+    Table,
+    Text,
+    page,
+    write_report,
+)
 from workbench.report.page import csv_text, html_text
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -67,7 +81,10 @@ def full_report(name: str = "speed") -> Report:
         f"Scores of {name}", ("record", f"{name} [%]", "B [%]"), ((name, 91.25, 80.5), ("b", None, 7.0)), name, best=max
     )
     blocks = (picture(name), picture(name), table, Text(f"{name}\n\nsecond"), Provenance({name: {"seed": 3, name: [name]}}))
-    return Report(f"Title {name}", f"Verdict {name}", (Section(f"Models {name}", blocks), Section("Empty", ())))
+    brief = Brief(f"Asked {name}", f"{name}\n\nmore", (Badge(name, f"word {name}", f"So {name}.", Standing.OPEN),), picture(name))
+    folded = (Text(f"folded {name}"), picture(name), table)
+    sections = (Section(f"Models {name}", blocks, folded), Section("Empty", ()))
+    return Report(f"Title {name}", f"Verdict {name}", sections, brief)
 
 
 @pytest.mark.parametrize("name", ["speed", NASTY, "", "zero\x00byte", "\ud800 lone", "漢字 µ", "x" * 3000])
