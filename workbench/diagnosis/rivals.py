@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.diagnosis.confirm import left_out
-from workbench.diagnosis.policy import ASKED_FOR, IDEAL, KNOWN, TIE, UNSEEN
+from workbench.diagnosis.policy import ASKED_FOR, FAR_APART, IDEAL, KNOWN, SCATTER, TIE, UNSEEN
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.screen import Score
 from workbench.physics.effects.effect import Domain
@@ -59,11 +59,34 @@ def gap_between(named: Model, key: str, other: Model, other_key: str) -> float:
     """BIC by which a rival is worse; one that includes the named cause cannot be worse than by its further numbers.
 
     Only numbers that the records tell are counted: that nothing ran backwards is no evidence against a friction of its own there.
+    Of laws of which none includes the other the gap counts in the scatter that it has from block to block, where that is larger
+    than noise as the model takes it would make it: sensors whose noise has a colour overstate every gap.
     """
+    plant = named.predictor.plant
     samples = sum(len(r) for r in named.predictor.records)
     more = (_seen(other, other_key) - _seen(named, key)) * float(np.log(samples))
     gap = other.deviance - named.deviance + more
-    return min(gap, max(more, 0.0)) if is_case_of(named.predictor.plant, key, other_key) else gap
+    if is_case_of(plant, key, other_key):
+        return min(gap, max(more, 0.0))
+    if TIE < gap < FAR_APART * TIE and not is_case_of(plant, other_key, key):
+        gap *= TIE / max(TIE, scatter(_by_block(other) - _by_block(named)))
+    return gap
+
+
+def scatter(differences: np.ndarray) -> float:
+    """The gap below which deviances of two models that differ by these in blocks (n) do not tell which is the better one.
+
+    SCATTER sqrt(n) times their standard deviation: Q. H. Vuong, "Likelihood ratio tests for model selection and non-nested
+    hypotheses", 1989. Where all is as one of the models says, a gap g has the standard deviation 2 sqrt(g), and g = TIE is told.
+    """
+    return SCATTER * float(np.sqrt(len(differences)) * np.std(differences, ddof=1)) if len(differences) > 1 else 0.0
+
+
+def _by_block(model: Model) -> np.ndarray:
+    """Deviances of all blocks of all records."""
+    made, at = model.predictor, model.fit.point
+    each = [made.deviances(i, white) for i, white in enumerate(made.at(at))]
+    return np.concatenate([np.add.reduceat(d, np.arange(0, len(d), made.block)) for d in each])
 
 
 def _seen(model: Model, key: str) -> int:
