@@ -64,7 +64,8 @@ def parser() -> argparse.ArgumentParser:
             allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        sub.add_argument("--out", metavar="DIR", help="folder for results (default: a new one under runs/)")
+        if command.into:
+            sub.add_argument("--out", metavar="DIR", help="folder for results (default: a new one under runs/)")
         sub.add_argument(
             "--json",
             metavar="FILE",

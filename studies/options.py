@@ -65,6 +65,14 @@ def _roles(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--inputs", "--input", dest="inputs", metavar="A,B", help="input channels (default: by name)")
 
 
+def _new(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folder", metavar="FOLDER", help="the folder to make")
+    sub.add_argument("records", nargs="*", metavar="RECORD", help="your logs, the last of several held out (default: an example)")
+    _roles(sub)
+    sub.add_argument("--schedule", metavar="A", help="scheduling channels (default: by name)")
+    _file_dt(sub)
+
+
 def _look(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "records", nargs="+", metavar="RECORD", help="records as a logger wrote them (text, Excel, MAT, Parquet, TDMS, MDF)"
@@ -375,9 +383,17 @@ class Command(NamedTuple):
     summary: str
     epilog: str
     options: Callable[[argparse.ArgumentParser], None]
+    into: bool = True  # whether it writes into a folder that --out names
 
 
 COMMANDS = {
+    "new": Command(
+        "a folder to begin with that runs as it stands: records, plant, limits, and the commands that join them",
+        "examples:\n  workbench new my-machine\n"
+        "  workbench new my-machine log1.csv log2.csv --inputs U --outputs n --schedule way",
+        _new,
+        into=False,
+    ),
     "simulate": Command(
         "run a plant through an experiment and write the record as CSV",
         "examples:\n  workbench simulate web-winding --experiment prbs1 --seed 3\n"

@@ -113,6 +113,7 @@ class Plant:
             unknowns, equations = several(self.start.solve_for, "unknown"), several(self.start.zero, "rate")
             mend = "solve for as many states and inputs as rates shall be 0"
             raise InputError(f"{unknowns}, but {equations} that shall be 0", file=f"{self.name}, Start", mend=mend)
+        self.check_parameters(self.nominal[None])  # here, and not after a diagnosis of minutes
         for port in self.ports:
             if hasattr(port, "speed"):
                 check_known("state", port.speed, self.state_names, file=self.name)
@@ -280,8 +281,9 @@ class Plant:
                 raise InputError(
                     f"parameter {q.name} = {value:g} {q.unit}",
                     file=self.name,
-                    mend=f"{q.meaning or q.name} must be {'finite' if q.signed else 'greater than 0'}",
-                )
+                    mend=f"{q.meaning or q.name} must be finite" if q.signed else
+                    f"{q.meaning or q.name} must be greater than 0; if it may be zero or negative: Parameter(.., signed=True)",
+                )  # fmt: skip
 
     @cached_property
     def neutral(self) -> np.ndarray:
