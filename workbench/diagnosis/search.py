@@ -462,7 +462,10 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
             if again.model.bic < model.bic:
                 model, step = again.model, replace(step, others=again.others)
         times = {s.key: t.others for t, s in tried} | {step.key: step.others}
-        alike = _alike_stepped(best_first([(model, step.score), *((t.model, s) for t, s in tried)]), sizes)
+        # a rival that has fitted better where it was first tried is not forgotten
+        before = [(step.rival.model, s) for s in found if step.rival and s.key == step.rival.key]
+        before = [(m, s) for m, s in before if {*m.keys} == {*less.keys, s.key}]
+        alike = _alike_stepped(best_first([(model, step.score), *((t.model, s) for t, s in tried), *before]), sizes)
         model = next(m for m, s in alike if s is step.score)
         finals = [(m, s) for m, s in alike if s is step.score or _worthy(less, m, s.key, others, most)]
         better = [(m, s) for m, s in finals if m.bic < model.bic and not _is_rounding(m, s.key) and left_out(less, m).holds]

@@ -50,3 +50,15 @@ def test_a_lag_and_a_dead_time_that_coloured_noise_exchanges_are_a_tie():
     assert len(told) == 2
     assert "sensor-resonance@air" in told
     assert any("sensor-lag@air" in names for names in told.values())
+
+
+@pytest.mark.slow
+def test_a_rival_is_not_forgotten_because_it_fits_worse_where_it_is_tried_again():
+    """A rewinder that runs one way: an offset of the amplifier takes off what a friction at the nip does."""
+    drawn = case.draw(123000080)
+    assert {hidden.key for hidden in drawn.truth} == {"backlash@w1", "asymmetric-friction@nip"}
+    found = diagnose(registry.MACHINES["rewinder"].plant, drawn.records, drawn.held_out)
+    told = {cause.key: {cause.key, *cause.ties} for cause in found.causes}
+    assert "backlash@w1" in told
+    rest = set().union(*(names for key, names in told.items() if key != "backlash@w1"))
+    assert rest & {"coulomb@nip", "asymmetric-friction@nip"}
