@@ -219,7 +219,7 @@ def _step(
         )
         return next(told, None)
     best, score = held[0]
-    tying = rivals_of(model, best, score.key, worthy)
+    tying = rivals_of(model, best, score.key, [*worthy, *((m, s) for m, s in finals if _as_form(model, m, s.key, steps, most))])
     rivals = {s.key: gap_between(best, score.key, m, s.key) for m, s in tying}
     rivals |= {s.key: m.bic - race.first.bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
@@ -307,6 +307,12 @@ def _worthy(before: Model, after: Model, key: str, steps: Sequence[Step], most: 
         and not _is_alias(after, key)
         and (np.isinf(most) or ahead(before, after) <= most)
     )
+
+
+def _as_form(before: Model, after: Model, key: str, steps: Sequence[Step], most: float) -> bool:
+    """Whether only its place speaks against an effect, where an earlier cause is whose form it may be: no cause, but a rival."""
+    own = _of_its_own(before.predictor.plant, key, before.bic - after.bic, steps)
+    return not own and _worthy(before, after, key, (), most)
 
 
 def _unresolved(found: Sequence[Score], model: Model) -> Unresolved | None:
@@ -470,7 +476,8 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         finals = [(m, s) for m, s in alike if s is step.score or _worthy(less, m, s.key, others, most)]
         better = [(m, s) for m, s in finals if m.bic < model.bic and not _is_rounding(m, s.key) and left_out(less, m).holds]
         model, score = min(better, key=lambda pair: pair[0].bic, default=(model, step.score))
-        tying = rivals_of(less, model, score.key, finals)
+        forms = [(m, s) for m, s in alike if s is not step.score and _as_form(less, m, s.key, others, most)]
+        tying = rivals_of(less, model, score.key, [*finals, *forms])
         # what does not tie beside these may tie beside fewer
         gaps = dict.fromkeys(step.rivals, np.inf) | {s.key: gap_between(model, score.key, m, s.key) for m, s in tying}
         closest = closest_rival(less, model, score.key, tying)

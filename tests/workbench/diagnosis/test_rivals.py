@@ -62,3 +62,14 @@ def test_a_rival_is_not_forgotten_because_it_fits_worse_where_it_is_tried_again(
     assert "backlash@w1" in told
     rest = set().union(*(names for key, names in told.items() if key != "backlash@w1"))
     assert rest & {"coulomb@nip", "asymmetric-friction@nip"}
+
+
+@pytest.mark.slow
+def test_what_is_passed_over_as_the_form_of_an_earlier_cause_is_a_rival_of_what_stands_in_for_it():
+    """Play of a gear and an offset, both at V: the offset, small beside the play, is no sensor's wrong zero."""
+    drawn = case.draw(123000111)
+    assert {hidden.key for hidden in drawn.truth} == {"offset@V", "gear-backlash@V"}
+    found = diagnose(registry.MACHINES["two-mass"].plant, drawn.records, drawn.held_out)
+    told = {cause.key: {cause.key, *cause.ties} for cause in found.causes}
+    assert "gear-backlash@V" in told
+    assert any("offset@V" in names for names in told.values())
