@@ -122,7 +122,10 @@ def _fixed(own: Sequence[np.ndarray], through: Sequence[np.ndarray]) -> np.ndarr
         M = np.array([M[i] if len(M) else np.zeros(c) for M, i in zip(through, rows, strict=True)])
         if not (np.isfinite(M).all() and np.abs(np.linalg.eigvals(M)).max(initial=0.0) < 1.0):
             return None
-        W = np.linalg.solve(np.eye(c) - M, a + TINY)  # TINY is seen through M too, and where a is 0 nothing hides it
+        try:
+            W = np.linalg.solve(np.eye(c) - M, a + TINY)  # TINY is seen through M too, and where a is 0 nothing hides it
+        except np.linalg.LinAlgError:  # an eigenvalue of 1 but for rounding
+            return None
     W = np.maximum(W, 0.0) * (1.0 + WIDER) + TINY
     again = np.array([((a + M @ W) * UP).max(initial=0.0) for a, M in zip(own, through, strict=True)]) + 0.5 * TINY
     return W if np.all(again <= W) else None
