@@ -22,6 +22,7 @@ from studies.arguments import Chosen, choose_plant, is_plant, names, numbers, pa
 from studies.cli import DONE
 from studies.referee import handed_out
 from workbench.answers.answer import PLANT_FILE
+from workbench.answers.check import run_badge
 from workbench.answers.comparison import curve_picture
 from workbench.answers.verdict import ended
 from workbench.errors import InputError, check_known
@@ -144,8 +145,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
 
 def _brief(asked: str, trial: Trial, margins: Badge, moved: Sequence[str], path: Path | None, picture: Picture | None) -> Brief:
     """Whether to go on with the law, one run of its loop, its margins, and how far loads move the outputs."""
-    run = Badge("One run", "LOST" if trial.lost else "kept", ended(trial.sentence), Standing.BAD if trial.lost else Standing.GOOD)
-    badges = [run, margins, *([Badge("Under load", "measured", ended(moved[0]), Standing.GOOD)] if moved else [])]
+    badges = [run_badge(trial), margins, *([Badge("Under load", "measured", ended(moved[0]), Standing.GOOD)] if moved else [])]
     todo = f"Check it: workbench check --controller {path} .." if path else "Do not use it: one run of the loop is lost."
     return Brief(asked, todo, tuple(badges), picture)
 

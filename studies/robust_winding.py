@@ -20,7 +20,7 @@ from controllers.scheduled_pid import ScheduledPID
 from plants import PLANTS
 from studies.experiments import measured
 from studies.loops import WINDING_LIMITS, benches
-from workbench.answers.check import STANDING, counted, verdict_table
+from workbench.answers.check import badge, counted, verdict_table
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import write_json
@@ -32,7 +32,7 @@ from workbench.physics.controller import Controller
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report import figures
-from workbench.report.blocks import Badge, Block, Brief, Provenance, Report, Section, Table
+from workbench.report.blocks import Block, Brief, Provenance, Report, Section, Table
 from workbench.report.page import write_report
 from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
@@ -148,13 +148,8 @@ def _brief(laws: Sequence[Law]) -> Brief:
     broken = [law.name for law in laws if overall(law.verdicts) is Status.FAILED]
     whole = [law.name for law in laws if law.name not in broken]
     todo = [f"Nothing breaks {', '.join(whole)}."] * bool(whole) + [f"Do not switch on: {', '.join(broken)}."] * bool(broken)
-    badges = []
-    for law in laws:
-        status = overall(law.verdicts)
-        open_ = [v.claim for v in law.verdicts if v.status is status and status in (Status.FAILED, Status.UNDECIDED)]
-        left = f" {'Broken' if status is Status.FAILED else 'Not decided'}: {'; '.join(open_[:2])}." if open_ else ""
-        badges.append(Badge(law.name, status.value, f"{counted(law.verdicts)}.{left}", STANDING[status]))
-    return Brief("Which loops keep what is asked on every machine that the records leave open?", " ".join(todo), tuple(badges))
+    badges = tuple(badge(law.name, law.verdicts) for law in laws)
+    return Brief("Which loops keep what is asked on every machine that the records leave open?", " ".join(todo), badges)
 
 
 def _said(law: Law) -> str:

@@ -253,7 +253,7 @@ def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Sta
 def verdict(folder: Path, done: Mapping[str, Done], hidden: Hidden | None) -> str:
     """What a reader needs first: what the simulation lacks, which model, which controller, and whether it is safe."""
     found = read_json(folder / "diagnosis" / "diagnosis.json")
-    errors = {LAWS[law]: _tracked(read_file(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
+    errors = {LAWS[law]: own for law, own in _loop_errors(folder).items()}
     said = [_lacks_said(found), _models_said(read_json(folder / "models" / "scores.json")), _loops_said(errors)]
     said += [
         f"Check of the {name}: {_checked_said(read_json(folder / f'check-{law}' / 'check.json'))}" for law, name in LAWS.items()
@@ -325,6 +325,11 @@ def _fit(score: Mapping[str, Any]) -> float:
     return -np.inf if score["FIT"] is None else score["FIT"]
 
 
+def _loop_errors(folder: Path) -> dict[str, dict[str, tuple[float, str]]]:
+    """The errors of each law's loop."""
+    return {law: _tracked(read_file(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
+
+
 def _tracked(run: Experiment) -> dict[str, tuple[float, str]]:
     """RMS error of every output in a loop, with its unit."""
     return {y: (tracking(run[f"{y}_set"] - run[y], run.dt)["RMS"], run.channel(y).unit) for y in OUTPUTS}
@@ -369,9 +374,8 @@ def _report(
 
 def _brief(folder: Path, pages: Mapping[str, Report]) -> Brief:
     """Which law, what to mend, and the badges of the model, the cause and the law's safety."""
-    errors = {law: _tracked(read_file(folder / f"loop-{law}" / "limits.csv")) for law in LAWS}
     checks = {law: read_json(folder / f"check-{law}" / "check.json") for law in LAWS}
-    law, why = chosen({law: own["verdicts"] for law, own in checks.items()}, errors)
+    law, why = chosen({law: own["verdicts"] for law, own in checks.items()}, _loop_errors(folder))
     law = law or next(iter(LAWS))
     model, cause = (_briefed(pages[name]).badges[0] for name in ("models", "diagnosis"))
     diagnosed = _briefed(pages["diagnosis"])

@@ -102,10 +102,13 @@ def _around(folder: Path, name: str, options: Namespace) -> None:
     """Copies of the logs, and everything else in terms of their channels."""
     data = read(*options.records, inputs=names(options.inputs), outputs=names(options.outputs), schedule=names(options.schedule),
                 dt=options.file_dt)  # fmt: skip
+    for note in data.notes:
+        say(f"note: {note}")
     first = data.experiments[0]
-    inputs, outputs, schedules = (first.names_of(role) for role in ("input", "output", "schedule"))
-    for role, own in (("input", inputs), ("output", outputs)):
-        if not own:
+    of = {role: [first.channel(n) for n in first.names_of(role)] for role in ("input", "output", "schedule")}
+    inputs, outputs, schedules = ([c.name for c in own] for own in of.values())
+    for role in ("input", "output"):
+        if not of[role]:
             known = ", ".join(first.names)
             raise InputError(f"which channel is an {role}?", file=options.records[0], mend=f"give --{role}s, of {known}")
     if odd := [channel for channel in (*inputs, *outputs, *schedules) if not channel.isidentifier() or iskeyword(channel)]:
@@ -118,7 +121,6 @@ def _around(folder: Path, name: str, options: Namespace) -> None:
     for path in options.records:
         shutil.copyfile(path, folder / "records" / Path(path).name)
     lags = {y: _lag(data, y, inputs) for y in outputs}
-    of = {role: [first.channel(n) for n in first.names_of(role)] for role in ("input", "output", "schedule")}
     write_text(folder / "plant.py", _plant_text(name, of, lags, first.dt))
     write_text(folder / "limits.toml", _limits_text(data, of["input"], of["output"]))
     write_text(folder / "README.md", _readme(data, options, inputs, outputs, schedules))
@@ -126,6 +128,8 @@ def _around(folder: Path, name: str, options: Namespace) -> None:
 
 def _lag(data: Dataset, output: str, inputs: Sequence[str]) -> Lag:
     """Least squares of y(k+q) = a y(k) + b u(k) + c at that of a few steps q whose free runs follow the records best."""
+    from scipy.signal import lfilter
+
     found: list[tuple[float, Lag]] = []
     for q in (1, 2, 5, 10, 20, 50):
         parts = [(e[output][::q], np.column_stack([e[u][::q] for u in inputs]), q * e.dt) for e in data if len(e) > 5 * q]
@@ -136,13 +140,8 @@ def _lag(data: Dataset, output: str, inputs: Sequence[str]) -> Lag:
         if not 0.0 < a < 1.0:
             continue
         lag = Lag(-parts[0][2] / np.log(a), tuple(g / (1.0 - a) for g in b), c / (1.0 - a))
-        errors = []
-        for y, U, _ in parts:
-            run = np.empty(len(y))
-            run[0] = y[0]
-            for k in range(len(y) - 1):
-                run[k + 1] = a * run[k] + float(np.dot(b, U[k])) + c
-            errors.append(float(np.mean((run - y) ** 2)))
+        runs = [np.append(y[0], lfilter([1.0], [1.0, -a], U[:-1] @ b + c, zi=[a * y[0]])[0]) for y, U, _ in parts]
+        errors = [float(np.mean((run - y) ** 2)) for run, (y, _, _) in zip(runs, parts, strict=True)]
         found.append((float(np.mean(errors)), lag))
     if found:
         return min(found, key=lambda pair: pair[0])[1]
@@ -213,7 +212,7 @@ PLANT = Plant(
 
 
 def _limits_text(data: Dataset, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> str:
-    """Set-points between the quarters of what the outputs did, limits a little outside of all that was seen."""
+    """A step in the middle of what the outputs did, limits of outputs outside of all that was seen, of inputs at its ends."""
     seconds = max(5.0, min(60.0, 0.5 * max(len(e) * e.dt for e in data)))
     text = [
         "# limits.toml: what the loop must keep; all numbers are guesses from the records",

@@ -56,6 +56,14 @@ def test_logs_of_ones_own_give_channels_and_rough_numbers(tmp_path, monkeypatch)
     assert "identify records/monday.csv --holdout records/tuesday.csv --outputs speed --inputs u,v --schedule none" in readme
 
 
+def test_how_a_log_was_understood_is_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    whole = Path(log(tmp_path / "cut.csv", 0, samples=400)).read_text()
+    Path("cut.csv").write_text(whole.rsplit(",", 1)[0])  # the last row lacks its last number
+    assert main(["new", "own", "cut.csv", "--inputs", "u,v", "--outputs", "speed"]) == 0
+    assert "note: cut" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

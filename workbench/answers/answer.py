@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from workbench.answers.verdict import ended
 from workbench.data import Dataset, Experiment, check_held_out
 from workbench.decimation import thinned
 from workbench.diagnosis.check.records import check
@@ -19,7 +20,7 @@ from workbench.physics.extension import Extension
 from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.records import record
-from workbench.report.blocks import Picture, Report, Text
+from workbench.report.blocks import Badge, Picture, Report, Standing, Text
 
 PLANT_FILE = "extended.json"
 WIDTH = 110  # characters of a line
@@ -123,6 +124,16 @@ class PlantAnswer(Answer):
     @property
     def handed_out(self) -> bool:
         return self.accepted or not self.objections
+
+    def stands(self, about: str, signs: Sequence[str]) -> Badge:
+        """Whether the plant is handed out, and what speaks against it; signs: what is odd, though it is no objection."""
+        told = [*self.objections, *signs]
+        return Badge(
+            about,
+            "handed out" if self.handed_out else "NOT handed out",
+            ended(told[0]) if told else "Nothing speaks against it.",
+            Standing.BAD if self.objections else Standing.OPEN if told else Standing.GOOD,
+        )
 
     @cached_property
     def plant(self) -> Plant:  # one object, so that it is traced and compiled once

@@ -133,14 +133,7 @@ class CalibrationResult(PlantAnswer):
             word = f"{error_said(best.before)} to {error_said(best.after)} {best.unit}".rstrip()
             less = Standing.GOOD if best.after < best.before else Standing.OPEN
             badges.append(Badge("Full-run error", word, f"{best.channel} of {best.record}, {where}.", less))
-        objected = [*self.objections, *(w for w in done.warnings if "say nothing" not in w)]
-        badges.append(
-            Badge(
-                "Fitted plant", "handed out" if self.handed_out else "NOT handed out",
-                ended(objected[0]) if objected else "Nothing speaks against it.",
-                Standing.BAD if self.objections else Standing.OPEN if objected else Standing.GOOD,
-            )
-        )  # fmt: skip
+        badges.append(self.stands("Fitted plant", [w for w in done.warnings if "say nothing" not in w]))
         todo = "Go on with the fitted plant." if self.handed_out else "Keep the plant as it was: the fitted one is worse."
         return Brief(f"Which parameters of {done.plant.name} do these records ask for?", todo, tuple(badges), picture)
 

@@ -102,8 +102,8 @@ def check(
             part = on_model(left, loop.law, loop.limits, plant, nodes=nodes, rate=rate, driver=controller, progress=progress)
         parts.append(replace(part, verdicts=(*map(loop.told, part.verdicts), *loop.unsaid)))
     elif plant is not None and any((asked.stable, asked.margin, asked.sensitivity, asked.disk)):
-        said = "asked of the loop itself: give --model and --records"
-        said = said if hasattr(controller, "at") else without_linear_form(controller)
+        linear = hasattr(controller, "at")
+        said = "asked of the loop itself: give --model and --records" if linear else without_linear_form(controller)
         of_loop = claimed(replace(asked, limits=()))
         unsaid = tuple(Verdict(name, "no model", Status.UNDECIDED, math.nan, "", said) for name in of_loop)
         parts.append(Part("Not checked", unsaid))
@@ -195,13 +195,11 @@ class CheckResult(Answer):
     @property
     def brief(self) -> Brief:
         """Whether the loop is safe, on the model and on the plant, and the run that comes nearest to a limit."""
-        lost = self.trial.lost
-        run = Badge("One run", "LOST" if lost else "kept", ended(self.trial.sentence), Standing.BAD if lost else Standing.GOOD)
         pictures = [block for part in self.parts for block in part.blocks if isinstance(block, Picture)]
         return Brief(
             f"Is the loop with {self.controller.name} safe on every machine that is left open?",
             _todo(self.controller.name, self.status, self.verdicts, self.trial),
-            (*(_badge(part) for part in self.parts if part.verdicts), run),
+            (*(badge(part.title, part.verdicts) for part in self.parts if part.verdicts), run_badge(self.trial)),
             _nearest(self.verdicts, pictures),
         )
 
@@ -284,12 +282,18 @@ def _todo(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial) 
     }[status]
 
 
-def _badge(part: Part) -> Badge:
-    """How a part stands, and of the worst verdict what it rests on."""
-    status = overall(part.verdicts)
-    worst = next(v for v in part.verdicts if v.status is status)
-    said = "" if status in (Status.PROVED, Status.PASSED) else f" {f'{worst.claim}: {worst.sentence}.'}"
-    return Badge(part.title, status.value, f"{counted(part.verdicts)}.{said}", STANDING[status])
+def badge(about: str, verdicts: Sequence[Verdict]) -> Badge:
+    """How verdicts stand, and of the worst one what it rests on."""
+    status = overall(verdicts)
+    worst = next(v for v in verdicts if v.status is status)
+    said = "" if status in (Status.PROVED, Status.PASSED) else f" {worst.claim}: {worst.sentence}."
+    return Badge(about, status.value, f"{counted(verdicts)}.{said}", STANDING[status])
+
+
+def run_badge(trial: Trial) -> Badge:
+    """Whether one run of the loop was lost."""
+    word, standing = ("LOST", Standing.BAD) if trial.lost else ("kept", Standing.GOOD)
+    return Badge("One run", word, ended(trial.sentence), standing)
 
 
 def _nearest(verdicts: Sequence[Verdict], pictures: Sequence[Picture]) -> Picture | None:

@@ -216,7 +216,9 @@ def page(answer: DiagnosisResult, source: Mapping[str, Any]) -> Report:
     missing = _cause_blocks(nominal, found, records.own, records.shown) if found.causes else ()
     left = _left_blocks(plant, found) if found.remainder else ()
     drawn = [block for block in (*missing, *left) if isinstance(block, Picture)]
-    told = min(runs, key=lambda picture: picture is not _of_best(at.errors, runs)) if runs else None
+    by_title = {picture.title: picture for picture in runs}
+    gained = [f"{e.channel}, record {e.record}" for e in _most_gained(at.errors)]
+    told = next((by_title[title] for title in gained if title in by_title), next(iter(runs), None))
     first = next(iter(drawn), told)
     shown, rest = [told] if told and told is not first else [], [own for own in runs if own is not told]
 
@@ -245,11 +247,10 @@ def _split(blocks: tuple[Block, ...]) -> tuple[tuple[Block, ...], tuple[Block, .
     return blocks[:1], blocks[1:]
 
 
-def _of_best(errors: Sequence[StageError], runs: Sequence[Picture]) -> Picture | None:
-    """The run in which the extended plant gains most over the data sheet."""
-    gained = sorted(errors, key=lambda e: e.extended / e.data_sheet if e.data_sheet > 0.0 else np.inf)
-    titles = {picture.title: picture for picture in runs}
-    return next((titles[title] for e in gained if (title := f"{e.channel}, record {e.record}") in titles), None)
+def _most_gained(errors: Sequence[StageError]) -> list[StageError]:
+    """Errors of runs that last, those first in which the extended plant gains most over the data sheet."""
+    last = [e for e in errors if e.data_sheet > 0.0 and np.isfinite(e.extended)]
+    return sorted(last, key=lambda e: e.extended / e.data_sheet)
 
 
 def _brief(answer: DiagnosisResult, picture: Picture | None) -> Brief:
@@ -262,18 +263,13 @@ def _brief(answer: DiagnosisResult, picture: Picture | None) -> Brief:
     none = "These records show no effect of the catalogue." if found.finding is Finding.NOTHING else left
     badges = [Badge("Cause", found.finding.value, f"{said}." if said else none, standing)]
     on = "held-out records" if answer.records.held_out is not None else "these records: none was held out"
-    if best := min(
-        (e for e in answer.stages.errors if e.data_sheet > 0.0), key=lambda e: e.extended / e.data_sheet, default=None
-    ):
+    if best := next(iter(_most_gained(answer.stages.errors)), None):
         word = f"{best.data_sheet:.3g} to {best.extended:.3g} {best.unit}".rstrip()
         less = Standing.GOOD if best.extended < best.data_sheet else Standing.OPEN
         badges.append(Badge("Full-run error", word, f"{best.channel} of {best.record}, data sheet to extended; {on}.", less))
-    objection = [*found.objections, *found.signs]
-    stands = Standing.BAD if found.objections else Standing.OPEN if found.signs else Standing.GOOD
-    word = "handed out" if answer.handed_out else "NOT handed out"
-    told = ended(objection[0]) if objection else "Nothing speaks against it."
-    badges.append(Badge("Extended plant", word, told, stands))
-    return Brief(f"What does the simulation of {found.plant} get wrong on these records?", advice(found), tuple(badges), picture)
+    badges.append(answer.stands("Extended plant", found.signs))
+    todo = advice(found, answer.handed_out)
+    return Brief(f"What does the simulation of {found.plant} get wrong on these records?", todo, tuple(badges), picture)
 
 
 def _cause_blocks(nominal: Plant, found: Diagnosis, own: Dataset, held: Dataset) -> tuple[Block, ...]:

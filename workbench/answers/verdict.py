@@ -65,8 +65,11 @@ def _headline(found: Diagnosis) -> str:
     return HEADLINES[found.finding].format(plant=found.plant)
 
 
-def advice(found: Diagnosis) -> str:
-    """What to do, in a technician's words."""
+def advice(found: Diagnosis, handed_out: bool) -> str:
+    """What to do, in a technician's words; handed_out: whether the extended plant is."""
+    if not handed_out:
+        said = " ".join(ended(cause.sentence) for cause in found.causes[:2])
+        return f"Keep the plant as it was: what was found makes it worse on records. {said}".rstrip()
     if found.finding is Finding.NOTHING:
         return "Trust the simulation: within what these records can show it lacks nothing."
     if not found.causes:

@@ -86,15 +86,20 @@ class LeftOut:
 
 def left_out(base: Model, extended: Model) -> LeftOut:
     """What the extension gains on each fold, predicted from the others with all that they leave open."""
+    gains = np.array([_surprise(base, fold) - _surprise(extended, fold) for fold in folds(base)])
+    joined = by_block(base, extended)
+    return LeftOut(gains, float(np.sqrt(len(joined)) * joined.std()))
+
+
+def by_block(base: Model, extended: Model) -> np.ndarray:
+    """By how much the deviance of the extended model is lower in each block of the records, long enough to be independent."""
     total = sum(len(r) for r in base.predictor.records)
     length = max(5, min(base.predictor.block, total // BLOCKS))
-    gains = np.array([_surprise(base, fold) - _surprise(extended, fold) for fold in folds(base)])
     blocks = []
     for i in range(len(base.predictor.records)):
         gain = _deviances(base, i) - _deviances(extended, i)
         blocks.append(np.add.reduceat(gain, np.arange(0, max(1, len(gain) - length // 2), length)))
-    joined = np.concatenate(blocks)
-    return LeftOut(gains, float(np.sqrt(len(joined)) * joined.std()))
+    return np.concatenate(blocks)
 
 
 def _deviances(model: Model, i: int) -> np.ndarray:

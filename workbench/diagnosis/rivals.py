@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from workbench.diagnosis.confirm import left_out
+from workbench.diagnosis.confirm import by_block, left_out
 from workbench.diagnosis.policy import ASKED_FOR, FAR_APART, IDEAL, KNOWN, SCATTER, TIE, UNSEEN
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.screen import Score
@@ -69,7 +69,7 @@ def gap_between(named: Model, key: str, other: Model, other_key: str) -> float:
     if is_case_of(plant, key, other_key):
         return min(gap, max(more, 0.0))
     if TIE < gap < FAR_APART * TIE and not is_case_of(plant, other_key, key):
-        gap *= TIE / max(TIE, scatter(_by_block(other) - _by_block(named)))
+        gap *= TIE / max(TIE, scatter(by_block(other, named)))
     return gap
 
 
@@ -80,13 +80,6 @@ def scatter(differences: np.ndarray) -> float:
     hypotheses", 1989. Where all is as one of the models says, a gap g has the standard deviation 2 sqrt(g), and g = TIE is told.
     """
     return SCATTER * float(np.sqrt(len(differences)) * np.std(differences, ddof=1)) if len(differences) > 1 else 0.0
-
-
-def _by_block(model: Model) -> np.ndarray:
-    """Deviances of all blocks of all records."""
-    made, at = model.predictor, model.fit.point
-    each = [made.deviances(i, white) for i, white in enumerate(made.at(at))]
-    return np.concatenate([np.add.reduceat(d, np.arange(0, len(d), made.block)) for d in each])
 
 
 def _seen(model: Model, key: str) -> int:

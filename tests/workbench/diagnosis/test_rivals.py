@@ -40,13 +40,18 @@ def test_one_block_tells_nothing_of_its_scatter():
     assert scatter(np.array([3.0])) == 0.0
 
 
+def named(seed, machine, *hidden):
+    """What is named of a stranger's case in which these are hidden: the names that each cause may have, by its first one."""
+    drawn = case.draw(seed)
+    assert {own.key for own in drawn.truth} == set(hidden)
+    found = diagnose(registry.MACHINES[machine].plant, drawn.records, drawn.held_out)
+    return {cause.key: {cause.key, *cause.ties} for cause in found.causes}
+
+
 @pytest.mark.slow
 def test_a_lag_and_a_dead_time_that_coloured_noise_exchanges_are_a_tie():
     """A heater whose sensor lags and rings: beside the resonance a dead time fits better by 12 than the true lag."""
-    drawn = case.draw(123000030)
-    assert {hidden.key for hidden in drawn.truth} == {"sensor-lag@air", "sensor-resonance@air"}
-    found = diagnose(registry.MACHINES["heater"].plant, drawn.records, drawn.held_out)
-    told = {cause.key: {cause.key, *cause.ties} for cause in found.causes}
+    told = named(123000030, "heater", "sensor-lag@air", "sensor-resonance@air")
     assert len(told) == 2
     assert "sensor-resonance@air" in told
     assert any("sensor-lag@air" in names for names in told.values())
@@ -55,10 +60,7 @@ def test_a_lag_and_a_dead_time_that_coloured_noise_exchanges_are_a_tie():
 @pytest.mark.slow
 def test_a_rival_is_not_forgotten_because_it_fits_worse_where_it_is_tried_again():
     """A rewinder that runs one way: an offset of the amplifier takes off what a friction at the nip does."""
-    drawn = case.draw(123000080)
-    assert {hidden.key for hidden in drawn.truth} == {"backlash@w1", "asymmetric-friction@nip"}
-    found = diagnose(registry.MACHINES["rewinder"].plant, drawn.records, drawn.held_out)
-    told = {cause.key: {cause.key, *cause.ties} for cause in found.causes}
+    told = named(123000080, "rewinder", "backlash@w1", "asymmetric-friction@nip")
     assert "backlash@w1" in told
     rest = set().union(*(names for key, names in told.items() if key != "backlash@w1"))
     assert rest & {"coulomb@nip", "asymmetric-friction@nip"}
@@ -67,9 +69,6 @@ def test_a_rival_is_not_forgotten_because_it_fits_worse_where_it_is_tried_again(
 @pytest.mark.slow
 def test_what_is_passed_over_as_the_form_of_an_earlier_cause_is_a_rival_of_what_stands_in_for_it():
     """Play of a gear and an offset, both at V: the offset, small beside the play, is no sensor's wrong zero."""
-    drawn = case.draw(123000111)
-    assert {hidden.key for hidden in drawn.truth} == {"offset@V", "gear-backlash@V"}
-    found = diagnose(registry.MACHINES["two-mass"].plant, drawn.records, drawn.held_out)
-    told = {cause.key: {cause.key, *cause.ties} for cause in found.causes}
+    told = named(123000111, "two-mass", "offset@V", "gear-backlash@V")
     assert "gear-backlash@V" in told
     assert any("offset@V" in names for names in told.values())

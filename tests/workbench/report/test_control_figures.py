@@ -66,7 +66,6 @@ def test_a_nyquist_curve_touches_the_circle_where_its_sensitivity_is_the_bound()
     middle, radius = circle[:-1].mean(axis=0), np.ptp(circle[:, 0]) / 2.0
     np.testing.assert_allclose(np.hypot(*(own - middle).T), radius, rtol=0.02)
     columns = {str(c): np.asarray(c.values) for c in picture.data.columns}
-    np.testing.assert_array_equal(columns["loop of V1 at 2 imaginary"][:20], 10.0 * L.imag)
-    assert np.isnan(columns["loop of V1 at 2 imaginary"][20:]).all()  # the circle has more points
+    np.testing.assert_array_equal(columns["loop of V1 at 2 imaginary"], 10.0 * L.imag)
     round_ = columns["sensitivity 1.6 real"] + 1j * columns["sensitivity 1.6 imaginary"]
     np.testing.assert_allclose(np.abs(round_ + 1.0), 1.0 / 1.6, rtol=1e-12)

@@ -109,12 +109,7 @@ def nyquist(title: str, loops: Mapping[str, Mapping[str, np.ndarray]], sensitivi
         figure.supylabel("imaginary part", color=MUTED.light, fontsize=8.5)
         canvas.legend(figure, list(handles.values()), list(handles))
         svg = canvas.render(figure)
-    edge = np.full(max(len(columns[0].values), len(circle)), np.nan + 0j)
-    edge[: len(circle)] = circle
-    columns = [
-        Column(c.name, np.pad(np.asarray(c.values, float), (0, len(edge) - len(c.values)), constant_values=np.nan))
-        for c in columns
-    ]
+    edge = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, len(columns[0].values))) / sensitivity - 1.0
     columns += [Column(f"{bound} real", np.real(edge)), Column(f"{bound} imaginary", np.imag(edge))]
     return Picture(
         title, svg,
