@@ -51,7 +51,7 @@ def _as_one(model: Model, one: Step, other: Step, lesser: Lesser) -> Iterable[St
                 rest,
                 single,
                 replace(score, p_family=min(score.p_family, one.score.p_family)),
-                {one.key: gap_between(single, score.key, special, one.key)},
+                {one.key: gap_between(rest, single, score.key, special, one.key)},
                 rest.bic - single.bic,
                 stability(single, score.key),
                 pairs={_together(one.key, other.key): -gap},

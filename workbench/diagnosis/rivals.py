@@ -51,16 +51,16 @@ def rivals_of(before: Model, named: Model, key: str, tried: Sequence[tuple[Model
 def closest_rival(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> Rival | None:
     """The best of the rivals that tie."""
     plant, gain = before.predictor.plant, before.bic - named.bic
-    near = [Rival(s.key, m) for m, s in tying if gap_between(named, key, m, s.key) < reach(plant, key, s.key, gain)]
+    near = [Rival(s.key, m) for m, s in tying if gap_between(before, named, key, m, s.key) < reach(plant, key, s.key, gain)]
     return near[0] if near else None
 
 
-def gap_between(named: Model, key: str, other: Model, other_key: str) -> float:
+def gap_between(before: Model, named: Model, key: str, other: Model, other_key: str) -> float:
     """BIC by which a rival is worse; one that includes the named cause cannot be worse than by its further numbers.
 
     Only numbers that the records tell are counted: that nothing ran backwards is no evidence against a friction of its own there.
     Of laws of which none includes the other the gap counts in the scatter that it has from block to block, where that is larger
-    than noise as the model takes it would make it: sensors whose noise has a colour overstate every gap.
+    than the reach of a tie: sensors whose noise has a colour overstate every gap.
     """
     plant = named.predictor.plant
     samples = sum(len(r) for r in named.predictor.records)
@@ -68,8 +68,9 @@ def gap_between(named: Model, key: str, other: Model, other_key: str) -> float:
     gap = other.deviance - named.deviance + more
     if is_case_of(plant, key, other_key):
         return min(gap, max(more, 0.0))
-    if TIE < gap < FAR_APART * TIE and not is_case_of(plant, other_key, key):
-        gap *= TIE / max(TIE, scatter(by_block(other, named)))
+    within = reach(plant, key, other_key, before.bic - named.bic)
+    if within < gap < FAR_APART * TIE and not is_case_of(plant, other_key, key):
+        gap *= within / max(within, scatter(by_block(other, named)))
     return gap
 
 

@@ -220,7 +220,7 @@ def _step(
         return next(told, None)
     best, score = held[0]
     tying = rivals_of(model, best, score.key, [*worthy, *((m, s) for m, s in finals if _as_form(model, m, s.key, steps, most))])
-    rivals = {s.key: gap_between(best, score.key, m, s.key) for m, s in tying}
+    rivals = {s.key: gap_between(model, best, score.key, m, s.key) for m, s in tying}
     rivals |= {s.key: m.bic - race.first.bic for m, s in trials if s.key not in near and s.key != score.key}
     return Step(
         score.key,
@@ -479,7 +479,7 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         forms = [(m, s) for m, s in alike if s is not step.score and _as_form(less, m, s.key, others, most)]
         tying = rivals_of(less, model, score.key, [*finals, *forms])
         # what does not tie beside these may tie beside fewer
-        gaps = dict.fromkeys(step.rivals, np.inf) | {s.key: gap_between(model, score.key, m, s.key) for m, s in tying}
+        gaps = dict.fromkeys(step.rivals, np.inf) | {s.key: gap_between(less, model, score.key, m, s.key) for m, s in tying}
         closest = closest_rival(less, model, score.key, tying)
         pairs = step.pairs if score.key == step.key else {}
         steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=closest, others=times[score.key], pairs=pairs)
