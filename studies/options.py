@@ -73,6 +73,12 @@ def _new(sub: argparse.ArgumentParser) -> None:
     _file_dt(sub)
 
 
+def _app(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folder", metavar="FOLDER", nargs="?", help="the session, new or to go on with (default: under runs/)")
+    sub.add_argument("--port", type=_seed, default=0, metavar="N", help="port on 127.0.0.1 (default: one that is free)")
+    sub.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
+
+
 def _look(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "records", nargs="+", metavar="RECORD", help="records as a logger wrote them (text, Excel, MAT, Parquet, TDMS, MDF)"
@@ -392,6 +398,12 @@ COMMANDS = {
         "examples:\n  workbench new my-machine\n"
         "  workbench new my-machine log1.csv log2.csv --inputs U --outputs n --schedule way",
         _new,
+        into=False,
+    ),
+    "app": Command(
+        "the bench in the browser, on this machine alone: drop logs, and go from look to a checked controller",
+        'examples:\n  workbench app\n  workbench app my-session\nit needs: pip install "gain-scheduling-workbench[app]"',
+        _app,
         into=False,
     ),
     "simulate": Command(

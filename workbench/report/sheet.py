@@ -5,9 +5,12 @@ from workbench.report.palette import COLOURS
 _LIGHT = "".join(f"--{colour.name}:{colour.light};" for colour in COLOURS)
 _DARK = "".join(f"--{colour.name}:{colour.dark};" for colour in COLOURS)
 
-STYLE = f"""
+#: The colours by name, those of a dark screen too.
+VARIABLES = f"""
 :root{{color-scheme:light dark;{_LIGHT}}}
-@media screen and (prefers-color-scheme:dark){{:root{{{_DARK}}}}}
+@media screen and (prefers-color-scheme:dark){{:root{{{_DARK}}}}}"""
+
+STYLE = f"""{VARIABLES}
 *{{box-sizing:border-box}}
 html{{scroll-behavior:smooth;scroll-padding-top:1rem;-webkit-text-size-adjust:100%}}
 body{{margin:0 auto;max-width:78rem;padding:0 1.5rem 4rem;background:var(--paper);color:var(--ink);
