@@ -6,6 +6,7 @@ that a session holds are shown under a second secret, in a sandbox that can ask 
 
 import hmac
 import json
+import math
 import secrets
 import shutil
 import webbrowser
@@ -56,6 +57,7 @@ class App:
                 Route("/api/texts/{name}", self.write, methods=["PUT"]),
                 Route("/api/texts/{name}", self.guess, methods=["POST"]),
                 Route("/api/steps", self.begin, methods=["POST"]),
+                Route("/api/sketch", self.sketch, methods=["POST"]),
                 Route("/api/steps/{name}/stop", self.stop, methods=["POST"]),
             ],
             middleware=[Middleware(BaseHTTPMiddleware, dispatch=self._guarded)],
@@ -181,6 +183,14 @@ class App:
             raise HTTPException(400, "words: a list of texts")
         return JSONResponse({"name": await run_in_threadpool(self.session.begin, words)})
 
+    async def sketch(self, request: Request) -> Response:
+        content = await _json(request)
+        controller, model = content.get("controller"), content.get("model")
+        bounds: dict[str, Any] = {key: content.get(key) for key in ("sensitivity", "complementary", "effort")}
+        if not (isinstance(controller, str) and isinstance(model, str)) or not all(_finite(value) for value in bounds.values()):
+            raise HTTPException(400, "controller, model: files; sensitivity, complementary, effort: numbers")
+        return JSONResponse(await run_in_threadpool(self.session.sketch, controller, model, bounds))
+
     async def stop(self, request: Request) -> Response:
         await run_in_threadpool(self.session.stop, request.path_params["name"])
         return JSONResponse({})
@@ -188,6 +198,10 @@ class App:
 
 def _same(given: str, wanted: str) -> bool:
     return hmac.compare_digest(given.encode("utf-8", "replace"), wanted.encode())
+
+
+def _finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _whole(value: Any) -> int:

@@ -23,6 +23,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from controllers.files import load_controller
+from controllers.sketch import Sketch, described
 from studies.app.job import GONE
 from studies.app.lines import python_lines
 from studies.beginning import beginning
@@ -30,6 +32,8 @@ from studies.cli import parser
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import read_json, read_text, write_json, write_text
+from workbench.lpv import load_model
+from workbench.robustness.frozen import Bounds
 from workbench.sources import read
 
 COMMANDS = ("look", "identify", "compare", "calibrate", "diagnose", "design", "check", "export", "simulate", "effects")
@@ -201,6 +205,17 @@ class Session:
             raise InputError(f"{name} is not running", mend="nothing is to be stopped")
         (self._steps / f"{name}.stop").touch()
 
+    def sketch(self, controller: str, model: str, bounds: Mapping[str, float]) -> dict[str, Any]:
+        """What other bounds would make of a PID in the session, at once: see `controllers.sketch`."""
+        for path in (controller, model):
+            _check_inside(path)
+        files = [self.folder / path for path in (controller, model)]
+        changed = tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
+        sketch = _sketch(*files, changed)
+        return (
+            described(sketch) | sketch.within(Bounds(bounds["sensitivity"], bounds["complementary"], bounds["effort"])).to_dict()
+        )
+
     def write(self, name: str, text: str) -> None:
         """plant.py or limits.toml."""
         if name not in TEXTS:
@@ -241,14 +256,18 @@ def _check(key: str, value: Any) -> None:
         raise InputError(f"session: {key} is {value!r}", mend="see the page's own requests for what fits")
 
 
+def _check_inside(path: str) -> None:
+    """Refuse what leads out of the session's folder, on whatever system."""
+    if os.path.isabs(path) or ".." in Path(path.replace("\\", "/")).parts or "\0" in path or ":\\" in path:
+        raise InputError(f"{path!r} leads out of the session", mend="name files in its folder")
+
+
 def _check_words(words: Sequence[str]) -> None:
     """Refuse what is none of the commands, and words that lead out of the session's folder."""
     if not words or words[0] not in COMMANDS:
         raise InputError(f"no command {words[0] if words else ''!r}", mend=f"one of {', '.join(COMMANDS)}")
     for word in words:
-        path = word.rpartition("=")[2] if word.startswith("--") else word
-        if os.path.isabs(path) or ".." in Path(path.replace("\\", "/")).parts or "\0" in word or ":\\" in word:
-            raise InputError(f"{word!r} leads out of the session", mend="name files in its folder")
+        _check_inside(word.rpartition("=")[2] if word.startswith("--") else word)
     if any(word.split("=")[0] in ("--out", "--json") for word in words):
         raise InputError("--out and --json are the page's own", mend="leave them out")
     with redirect_stderr(StringIO()) as said:
@@ -292,6 +311,13 @@ def _schema(path: Path, changed: int) -> str:
         return ""
     said = content.get("schema") if isinstance(content, dict) else None
     return said.rpartition("/")[2] if isinstance(said, str) else ""
+
+
+@lru_cache(maxsize=8)
+def _sketch(controller: Path, model: Path, changed: tuple[int, ...]) -> Sketch:
+    """The sketch of a controller and its model, as they are at that time."""
+    del changed
+    return Sketch(load_controller(controller), load_model(model))
 
 
 def _number(name: str) -> int:

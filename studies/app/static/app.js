@@ -204,7 +204,8 @@ const PANELS = {
           range("controller", "ms", "Largest |S|", 1.6, 1.2, 2.4, 0.05), range("controller", "mt", "Largest |T|", 1.6, 1.1, 2.4, 0.05),
           range("controller", "effort", "Largest effort", 3, 1.2, 20, 0.1),
           ...(kind === "scheduled-pid" ? [range("controller", "knots", "Knots of the schedule", 3, 2, 9, 1)] : []),
-          select("controller", "objective", "Objective", [["variance", "least variance under noise and load"], ["integral", "most integral action"]])]))];
+          select("controller", "objective", "Objective", [["variance", "least variance under noise and load"], ["integral", "most integral action"]])])),
+        el("div", {id: "sketch", "aria-live": "polite"})];
     },
   },
   check: {
@@ -356,8 +357,72 @@ function preview() {
   if (!place || !go) return;
   const lacking = own.missing();
   place.textContent = lacking || `workbench ${own.words().map(quoted).join(" ")}`;
+  if (stage.id === "controller") sketch();
   go.disabled = Boolean(lacking) || S.steps.filter(step => step.state === "running").length > 1;
 }
+// ---- sketches: what a dragged bound makes of the last PID, at once ---------------------------------------------------------
+
+let asking = false, asked = "";
+async function sketch() {
+  const place = document.getElementById("sketch"), v = key => Number(value("controller", key));
+  if (!place || asking || value("controller", "kind") === "mpc") return;
+  const model = value("controller", "model"), last = ofStage(current()).filter(step => step.state === "done" && step.code !== 2 && step.command.includes(model)).at(-1);
+  const controller = last && made(["controller"]).find(path => path.startsWith(`${last.name}/`) && path.includes("pid"));
+  if (!controller) return;
+  const body = {controller, model, sensitivity: v("ms"), complementary: v("mt"), effort: v("effort")};
+  if (JSON.stringify(body) === asked) return;
+  asking = true;
+  asked = JSON.stringify(body);
+  try {
+    draft(place, await ask("/api/sketch", "POST", body), body);
+  } catch (reason) {
+    place.replaceChildren(el("p", {class: "live"}, `No sketch: ${reason.message}`));
+  }
+  asking = false;
+  sketch(); // a hand may have moved on
+}
+
+const SVG = "http://www.w3.org/2000/svg", W = 320, H = 220, PAD = 34;
+function svg(name, own = {}, ...inside) {
+  const node = document.createElementNS(SVG, name);
+  for (const [key, text] of Object.entries(own)) node.setAttribute(key, text);
+  node.append(...inside);
+  return node;
+}
+
+/** A picture of lines over two axes; lines: {x, y, colour, dashed}. */
+function picture(title, caption, lines, [x0, x1], [y0, y1], {more = () => [], ends = [short(x0), short(x1)]} = {}) {
+  const X = x => PAD + (W - PAD - 8) * (x - x0) / (x1 - x0 || 1), Y = y => H - 24 - (H - 34) * (y - y0) / (y1 - y0 || 1);
+  const path = line => svg("polyline", {fill: "none", stroke: line.colour, "stroke-width": 1.6, "stroke-dasharray": line.dashed ? "5 4" : "none",
+    points: line.x.map((x, k) => `${X(x).toFixed(1)},${Y(line.y[k]).toFixed(1)}`).join(" ")});
+  const label = (x, y, said, anchor) => { const node = svg("text", {x, y, "font-size": 11, fill: "var(--muted)", "text-anchor": anchor}); node.textContent = said; return node; };
+  const frame = svg("rect", {x: PAD, y: 10, width: W - PAD - 8, height: H - 34, fill: "none", stroke: "var(--grid)"});
+  const clip = svg("clipPath", {id: `clip-${title.length}`}, svg("rect", {x: PAD, y: 10, width: W - PAD - 8, height: H - 34}));
+  const drawing = svg("g", {"clip-path": `url(#clip-${title.length})`}, ...more(X, Y), ...lines.map(path));
+  return el("figure", {}, svg("svg", {viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": `${title}. ${caption}`}, clip, frame, drawing,
+    label(PAD, H - 8, ends[0], "start"), label(W - 8, H - 8, ends[1], "end"), label(PAD - 4, H - 24, short(y0), "end"), label(PAD - 4, 20, short(y1), "end")),
+    el("figcaption", {}, el("strong", {}, title), ` ${caption}`));
+}
+
+function draft(place, found, bounds) {
+  const n = found.points.length, at = [...Array(n).keys()], colour = i => `var(--series-${1 + i % 6})`;
+  const over = n > 1 ? at : [0, 1], flat = values => (n > 1 ? values : [values[0], values[0]]);
+  const top = 1.15 * Math.max(bounds.sensitivity, bounds.complementary, ...found.sensitivity, ...found.complementary);
+  const level = (y, c) => ({x: [over[0], over.at(-1)], y: [y, y], colour: c, dashed: true});
+  const nyquist = found.loops.flatMap((each, i) => each[0].map((_, u) => ({x: each.map(own => own[u][0]), y: each.map(own => own[u][1]), colour: colour(i)})));
+  const steps = found.steps.flatMap((each, i) => each.map(y => ({x: found.t, y, colour: colour(i)})));
+  const high = 1.05 * Math.max(1.2, ...found.steps.flat(2).filter(Number.isFinite)), end = found.t.at(-1);
+  const circle = (X, Y) => [svg("ellipse", {cx: X(-1), cy: Y(0), rx: Math.abs(X(1 / bounds.sensitivity) - X(0)), ry: Math.abs(Y(1 / bounds.sensitivity) - Y(0)), fill: "none", stroke: "var(--muted)"}),
+    svg("circle", {cx: X(-1), cy: Y(0), r: 3, fill: "var(--ink)"})];
+  const word = found.kept ? `Sketch: the gains of the last design times ${short(found.share)} keep these bounds at ${n} frozen loop${n > 1 ? "s" : ""}.` :
+    "No common factor of the last design's gains keeps these bounds: it is drawn as it is.";
+  place.replaceChildren(el("p", {class: "live", id: "sketched"}, `${word} Design weighs the gains anew.`), el("div", {class: "tuned"},
+    picture("Margins", "largest |S| and |T| over the schedule; dashed: the bounds",
+      [{x: over, y: flat(found.sensitivity), colour: colour(0)}, {x: over, y: flat(found.complementary), colour: colour(1)}, level(bounds.sensitivity, colour(0)), level(bounds.complementary, colour(1))], [over[0], over.at(-1)], [0, top], {ends: n > 1 ? [found.points[0], found.points.at(-1)] : ["", ""]}),
+    picture("Nyquist curves", "of every command, the others closed; the circle is the bound on |S| about -1", nyquist, [-2.6, 1.2], [-1.5, 1.1], {more: circle}),
+    picture("Steps", "of each set-point by 1, over seconds", steps, [0, end], [0, high])));
+}
+
 const quoted = word => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`);
 
 function draw() {
@@ -386,6 +451,7 @@ function draw() {
     if (panel.dataset.stage !== stage.id) window.scrollTo(0, 0);
     panel.dataset.stage = stage.id;
     drawn = what;
+    asked = ""; // a sketch is drawn into the new fields
     if (focus) document.getElementById(focus)?.focus();
   }
   preview();

@@ -69,6 +69,11 @@ class Window:
         place = expect(self.page.locator(selector))
         place.to_have_value(value, timeout=SECONDS) if text is None else place.to_have_text(text, timeout=SECONDS)
 
+    def sees_part(self, selector, text):
+        from playwright.sync_api import expect
+
+        expect(self.page.locator(selector)).to_contain_text(text, timeout=SECONDS)
+
     def run(self, stage, word):
         """Go to a stage, press its button, and wait for what it says."""
         self.click(f"#stages a[href='#{stage}']")
@@ -98,6 +103,11 @@ def test_from_logs_to_a_checked_controller(tmp_path, bench, browser):
     assert not other.wrong
 
     window.run("controller", "Done")
+    window.sees_part("#sketched", "keep these bounds")
+    before = window.page.inner_text("#sketched")
+    window.page.locator("#controller-effort").fill("6")  # a slider that is dragged redraws margins, Nyquist curves and steps
+    window.page.wait_for_selector(f"#sketched:not(:text-is('{before}'))", timeout=SECONDS)
+    assert window.page.locator("#sketch svg").count() == 3
     window.click("#stages a[href='#check']")
     window.click("text=Guess from the records")
     window.page.select_option("#check-plant", "")

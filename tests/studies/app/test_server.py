@@ -12,7 +12,7 @@ from tests.studies.app.conftest import ORIGIN, record
 REQUESTS = [
     ("GET", "/"), ("GET", "/static/app.js"), ("GET", "/api/session"), ("PUT", "/api/session"), ("PUT", "/api/records/a.csv"),
     ("DELETE", "/api/records/a.csv"), ("PUT", "/api/texts/plant.py"), ("POST", "/api/texts/plant.py"), ("POST", "/api/steps"),
-    ("POST", "/api/steps/01-look/stop"), ("GET", "/view/none/records/a.csv"), ("GET", "/nowhere"),
+    ("POST", "/api/sketch"), ("POST", "/api/steps/01-look/stop"), ("GET", "/view/none/records/a.csv"), ("GET", "/nowhere"),
 ]  # fmt: skip
 
 
@@ -140,6 +140,19 @@ def test_the_state_is_json_whatever_lies_in_the_folder(app, asked):
     )
     found = asked.get("/api/session").json()
     assert [(step["name"], step["standing"]) for step in found["steps"]] == [("01-x", ""), ("04-check", "open")]
+
+
+ASKED = {"controller": "pid.json", "model": "lti.json", "sensitivity": 1.5, "complementary": 1.5, "effort": 3.0}
+
+
+@pytest.mark.parametrize(
+    "change", [{"sensitivity": 0.5}, {"sensitivity": "x"}, {"effort": None}, {"effort": True}, {"controller": "/etc/passwd"},
+               {"model": "../x.json"}, {"model": 3}, {}],
+)  # fmt: skip
+def test_a_sketch_of_what_is_not_there_is_refused(asked, change):
+    answer = asked.post("/api/sketch", json=ASKED | change)
+    assert answer.status_code == 400
+    assert answer.json()["error"]
 
 
 TEXTS = st.text(max_size=30)
