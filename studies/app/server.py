@@ -122,9 +122,13 @@ class App:
     async def shown(self, request: Request) -> Response:
         """A file of the session."""
         root = self.session.folder.resolve()
-        path = (root / request.path_params["path"]).resolve()
-        inside = path.is_relative_to(root) and not any(part.startswith(".") for part in path.relative_to(root).parts)
-        if not inside or not path.is_file():
+        try:
+            path = (root / request.path_params["path"]).resolve()
+            inside = path.is_relative_to(root) and not any(part.startswith(".") for part in path.relative_to(root).parts)
+            there = inside and path.is_file()
+        except (ValueError, OSError):  # a NUL, a name that is too long
+            there = False
+        if not there:
             raise HTTPException(404, "no such file in this session")
         return FileResponse(path, headers={"Content-Security-Policy": VIEW_POLICY})
 

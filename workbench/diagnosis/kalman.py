@@ -366,3 +366,23 @@ def _respond(F, H, K, push, shift, out):
         x += d
         np.dot(F[k], x, d)
         d += push[k]
+
+
+def drifted(F: np.ndarray, G: np.ndarray, H: np.ndarray, process: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Variance (N) of h x after each of the samples F (N, n, n), G (N, n, nw), h (N, n), for pushes of deviations `process` (nw)
+    that nothing corrects; it begins anew after every sample in which h x is `known` (N).
+    """
+    F, G, H = (np.ascontiguousarray(a) for a in (F, G, H))
+    return _drifted(F, G, H, process**2, known)
+
+
+@njit("f8[::1](f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[::1], b1[::1])", cache=True)
+def _drifted(F, G, H, process, known):
+    N, n = H.shape
+    P, found = np.zeros((n, n)), np.zeros(N)
+    for k in range(N):
+        P = F[k] @ P @ F[k].T + (G[k] * process) @ G[k].T
+        found[k] = np.sum(H[k] * (P @ H[k]))
+        if known[k]:
+            P[:] = 0.0
+    return found

@@ -16,9 +16,10 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from workbench.data import Dataset, Experiment, bad_stamps
-from workbench.diagnosis.kalman import Linearization, Pass, gains
+from workbench.diagnosis.kalman import Linearization, Pass, drifted, gains
 from workbench.diagnosis.starts import entry_states, pushes_of, spread_of, start_of
 from workbench.errors import InputError, check_known
 from workbench.noise import measurement_noise
@@ -35,6 +36,7 @@ VISIBLE = 2.0  # sum of squares, in variances, that the integrator may be off in
 LOOK = 600  # samples of a record on which that is looked at
 RAISED, RAISES = 4.0, 6  # factor of pushes where a filter loses a record, and how often
 RAN_AWAY = 1e9  # error of a run that left every range
+PLAY = "backlash"
 STEP = 1e-6  # of a state's scale, for differences of the flow
 
 
@@ -394,9 +396,33 @@ class Predictor:
         F = change[: len(active)].transpose(1, 2, 0) / (STEP * size[active])
         G = change[len(active) :].transpose(1, 2, 0) / pushed
         H = self._sensed(r, corrected, eta[0], active, STEP * size)
+        self._loosen(i, active, size, corrected, flow[0], F, G)
         last = [np.concatenate([M, M[-1:]]) for M in (F, G)]
         line = Linearization(last[0], last[1], H, np.isfinite(r.seen))
         return _coloured(line, len(self.noise.drift), len(self.noise.coloured), self.noise.decays(plant.dt))
+
+    def _loosen(self, i, active, size, corrected, flow, F, G) -> None:
+        """Where the play of a sensor stands, over a sample: dm+ = c dz+ + (1 - c) dm, with the chance c that it is taken up.
+
+        A slope of 0 or 1 would be sure of what an error of the reading's size turns round: where a quantity reverses, a filter
+        that is sure takes what the noise reached at most for where the play stands, and a fit makes up for it by a wider play.
+        """
+        plant, eta = self.plant, self.point.eta[i]
+        rows, nx = active.tolist(), len(plant.states)
+        for k, slot in enumerate(plant.slots):
+            if slot.effect.id != PLAY or not eta[k]:
+                continue
+            j = plant.output_names.index(slot.place)
+            own = self._memories + j * (len(plant.memories) // len(plant.outputs))
+            row = rows.index(own)
+            z = np.broadcast_to(plant.output(list(flow[1:].T[:nx]), self.point.p, list(self.records[i].u[1:].T))[j], len(F))
+            H = self._sensed(self.records[i], corrected, np.zeros_like(eta), active, STEP * size)[1:, j]
+            F[:, row], G[:, row] = 0.0, 0.0
+            beyond = np.abs(z - corrected[:-1, own]) - eta[k]
+            spread = drifted(F, G, H, self.noise.process, beyond >= 0.0) + self.noise.measurement[j] ** 2
+            taken_up = ndtr(beyond / np.sqrt(spread))[:, None]
+            F[:, row], G[:, row] = taken_up * np.einsum("ki,kij->kj", H, F), taken_up * np.einsum("ki,kij->kj", H, G)
+            F[:, row, row] = 1.0 - taken_up[:, 0]
 
     def moved(self, i: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """What effects `after` (ne) in place of `before` do in every sample of record i to what the filter carries, (N, n)."""
@@ -421,6 +447,8 @@ class Predictor:
     def _sensed(self, r: Record, full: np.ndarray, eta: np.ndarray, active: np.ndarray, step: np.ndarray) -> np.ndarray:
         """H (N, ny, n): what a change of the carried states does to the readings of the sensors."""
         plant, nx, first = self.plant, len(self.plant.states), self._memories
+        # where a play stands is what is read: it follows the quantity over a sample, not within an instant
+        eta = np.where([s.effect.id == PLAY and on for s, on in zip(plant.slots, eta, strict=True)], np.inf, eta)
 
         x = np.repeat(full.T[:, None], 1 + len(active), axis=1)  # (n, 1 + m, N), the first as it is
         for c, j in enumerate(active):
@@ -480,11 +508,8 @@ def _rounding(plant: Plant) -> np.ndarray:
 
 
 def _smooth(plant: Plant, eta: np.ndarray) -> np.ndarray:
-    """The effects without rounding and play of sensors: a staircase has no slope that a filter could use, and play tells it
-    nothing while it is not taken up.
-    """
-    steep = [s.effect.id in ("quantisation", "backlash") for s in plant.slots]
-    return np.where(steep, 0.0, eta)
+    """The effects without rounding of sensors: a staircase has no slope that a filter could use."""
+    return np.where(_rounding(plant), 0.0, eta)
 
 
 def predictor(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int = 1) -> Predictor:

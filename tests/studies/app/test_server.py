@@ -53,7 +53,7 @@ def test_the_token_leaves_the_address_for_a_cookie_that_no_script_reads(app):
 
 @pytest.mark.parametrize(
     "path", ["../secret.txt", "..%2fsecret.txt", "records/../../secret.txt", ".steps/01-look.json", "%2e%2e/secret.txt",
-             "/etc/passwd", "records", "link.txt"],
+             "/etc/passwd", "records", "link.txt", "a%00.csv", 300 * "x"],
 )  # fmt: skip
 def test_no_file_outside_of_the_session_is_shown(app, asked, path):
     (app.session.folder.parent / "secret.txt").write_text("secret")
@@ -161,7 +161,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(["GET", "PUT", "POST", "DELETE"]), st.lists(TEXTS, max_size=4), VALUES)
 def test_nothing_that_is_asked_ends_the_server(app, asked, method, parts, content):
     """Random paths below the known ones, random bodies: an answer of a few hundred, and no file outside."""
