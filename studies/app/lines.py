@@ -73,7 +73,8 @@ def _design(options: Namespace) -> list[str]:
     if options.kind not in ("pid", "scheduled-pid"):
         return []
     bounds = {key: f"{getattr(options, key):g}" for key in ("sensitivity", "complementary", "effort")}
-    own = {"knots": options.knots} if options.knots else {"knots": 1} if options.kind == "pid" else {}
+    knots = options.knots or ("1" if options.kind == "pid" else "")
+    own = {"knots": f"[{knots}]" if "," in knots else knots} if knots else {}
     aim = {"objective": _text(options.objective)} if options.objective != "variance" else {}
     said = _called([], bounds | own | aim | limits)
     return ["from controllers import ScheduledPIDDesign", *first, f"law = ScheduledPIDDesign({said}).on(model)"]

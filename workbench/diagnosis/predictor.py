@@ -404,21 +404,18 @@ class Predictor:
     def _loosen(self, i, active, size, corrected, flow, F, G) -> None:
         """Where the play of a sensor stands, over a sample: dm+ = c dz+ + (1 - c) dm, with the chance c that it is taken up.
 
-        A slope of 0 or 1 would be sure of what an error of the reading's size turns round: where a quantity reverses, a filter
-        that is sure takes what the noise reached at most for where the play stands, and a fit makes up for it by a wider play.
+        Slopes of 0 or 1 would be too sure: at a reversal the play would stand where noise had reached, and be fitted wider.
         """
-        plant, eta = self.plant, self.point.eta[i]
-        rows, nx = active.tolist(), len(plant.states)
-        for k, slot in enumerate(plant.slots):
-            if slot.effect.id != PLAY or not eta[k]:
+        plant, r, eta, memory = self.plant, self.records[i], self.point.eta[i], [(name, e.id) for name, e in self.plant.memories]
+        for slot, half_width in zip(plant.slots, eta, strict=True):
+            if slot.effect.id != PLAY or not half_width:
                 continue
-            j = plant.output_names.index(slot.place)
-            own = self._memories + j * (len(plant.memories) // len(plant.outputs))
-            row = rows.index(own)
-            z = np.broadcast_to(plant.output(list(flow[1:].T[:nx]), self.point.p, list(self.records[i].u[1:].T))[j], len(F))
-            H = self._sensed(self.records[i], corrected, np.zeros_like(eta), active, STEP * size)[1:, j]
+            j, own = plant.output_names.index(slot.place), self._memories + memory.index((slot.place, PLAY))
+            z = np.broadcast_to(plant.output(list(flow[1:, : len(plant.states)].T), self.point.p, list(r.u[1:].T))[j], len(F))
+            H = self._sensed(r, corrected, np.zeros_like(eta), active, STEP * size)[1:, j]
+            row = active.tolist().index(own)
             F[:, row], G[:, row] = 0.0, 0.0
-            beyond = np.abs(z - corrected[:-1, own]) - eta[k]
+            beyond = np.abs(z - corrected[:-1, own]) - half_width
             spread = drifted(F, G, H, self.noise.process, beyond >= 0.0) + self.noise.measurement[j] ** 2
             taken_up = ndtr(beyond / np.sqrt(spread))[:, None]
             F[:, row], G[:, row] = taken_up * np.einsum("ki,kij->kj", H, F), taken_up * np.einsum("ki,kij->kj", H, G)
