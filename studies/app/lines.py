@@ -3,6 +3,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr
+from functools import lru_cache
 from io import StringIO
 from pathlib import PurePosixPath
 from typing import Any
@@ -11,7 +12,8 @@ from studies.arguments import names
 from studies.cli import parser
 
 
-def python_lines(words: Sequence[str]) -> str:
+@lru_cache(maxsize=4096)
+def python_lines(words: tuple[str, ...]) -> str:
     """Lines of Python that do the same as `workbench WORDS`; empty for a command that has no verb of its own."""
     with redirect_stderr(StringIO()):
         try:

@@ -32,6 +32,7 @@ from workbench.report.sheet import VARIABLES
 
 STATIC = Path(__file__).parent / "static"
 TYPES = {"app.js": "text/javascript", "app.css": "text/css"}
+HIGHEST = 65_535  # port
 BODY = 2_000_000  # bytes of a request that is no file
 LARGEST, SPARE = 4 * 2**30, 2**29  # bytes of a log; that must stay free on the disk
 PAGE_POLICY = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; frame-src 'self'"
@@ -256,8 +257,10 @@ def serve(folder: Path, port: int, say: Callable[[str], None], *, browser: bool)
 
     Commands that run go on when the server ends; the page shows them again when it is started anew.
     """
+    if port > HIGHEST:
+        raise InputError(f"port {port}", mend=f"choose a --port up to {HIGHEST}, or none: a free one is found")
     app = App(Session(folder))
-    config = uvicorn.Config(app.asgi, host="127.0.0.1", port=port, log_level="warning", access_log=False)
+    config = uvicorn.Config(app.asgi, host="127.0.0.1", port=port, log_level="critical", access_log=False)
     try:
         bound = config.bind_socket()
     except SystemExit:  # uvicorn has said why

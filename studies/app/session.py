@@ -135,7 +135,7 @@ class Session:
             "code": over["code"] if over else None,
             "command": shlex.join(["workbench", *made["words"]]),
             "kind": made["words"][0],
-            "python": python_lines(made["words"]),
+            "python": python_lines(tuple(made["words"])),
             "log": _tail(log),
             "seconds": over["seconds"] if over else round(time.time() - made["began"], 1),
         }

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socketserver
 import subprocess
 import sys
 import time
@@ -143,6 +144,17 @@ def test_a_folder_of_workbench_new_is_a_session(tmp_path, capsys):
     assert set(state["texts"]) == {"plant.py", "limits.toml"}
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # uvicorn leaves the socket that it could not bind
+def test_what_cannot_be_served_is_refused_with_its_mend(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    for words, said in ((["x", "--port", "70000"], "up to 65535"), ([str(tmp_path / "file")], "choose a folder")):
+        assert command(["app", *words, "--no-browser"]) == 2
+        assert said in capsys.readouterr().err
+    with socketserver.TCPServer(("127.0.0.1", 0), None) as taken:
+        assert command(["app", str(tmp_path / "new"), "--port", str(taken.server_address[1]), "--no-browser"]) == 2
+    assert "is taken" in capsys.readouterr().err
+
+
 def test_a_users_own_folders_do_not_stand_in_for_this_program(session):
     """A session that holds a folder `plants` and a file `studies.py` runs the commands of this program all the same."""
     (session.folder / "plants").mkdir()
@@ -164,10 +176,10 @@ LINES = {
 
 @pytest.mark.parametrize("words", LINES)
 def test_the_python_lines_say_what_the_command_does(words):
-    lines = python_lines(words.split())
+    lines = python_lines(tuple(words.split()))
     assert LINES[words] in lines.splitlines()
     compile(lines, "lines", "exec")
-    assert python_lines(["nonsense"]) == ""
+    assert python_lines(("nonsense",)) == ""
 
 
 @pytest.mark.slow
