@@ -48,11 +48,10 @@ def rivals_of(before: Model, named: Model, key: str, tried: Sequence[tuple[Model
     return sorted(found, key=lambda pair: pair[0].bic)
 
 
-def closest_rival(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> Rival | None:
-    """The best of the rivals that tie."""
+def close_rivals(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> tuple[Rival, ...]:
+    """The rivals that tie, the best first."""
     plant, gain = before.predictor.plant, before.bic - named.bic
-    near = [Rival(s.key, m) for m, s in tying if gap_between(before, named, key, m, s.key) < reach(plant, key, s.key, gain)]
-    return near[0] if near else None
+    return tuple(Rival(s.key, m) for m, s in tying if gap_between(before, named, key, m, s.key) < reach(plant, key, s.key, gain))
 
 
 def gap_between(before: Model, named: Model, key: str, other: Model, other_key: str) -> float:

@@ -42,7 +42,7 @@ from workbench.diagnosis.refit import (
     stepped,
     without,
 )
-from workbench.diagnosis.rivals import Rival, best_first, closest_rival, gap_between, is_case_of, rivals_of
+from workbench.diagnosis.rivals import Rival, best_first, close_rivals, gap_between, is_case_of, rivals_of
 from workbench.diagnosis.rounding import rounded
 from workbench.diagnosis.screen import Score, Signature, scores, signatures, similarity, small_sizes, variants
 from workbench.physics.effects.effect import Domain
@@ -68,9 +68,14 @@ class Step:
     rivals: dict[str, float]
     gain: float
     stable: float
-    rival: Rival | None = None  # the closest one that ties
+    tying: tuple[Rival, ...] = ()  # rivals that tie, the closest first
     others: tuple[Other, ...] = ()
     pairs: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def rival(self) -> Rival | None:
+        """The closest one that ties."""
+        return self.tying[0] if self.tying else None
 
 
 @record
@@ -230,7 +235,7 @@ def _step(
         rivals,
         model.bic - best.bic,
         stability(best, score.key),
-        closest_rival(model, best, score.key, tying),
+        close_rivals(model, best, score.key, tying),
         race.others[score.key],
     )
 
@@ -468,8 +473,8 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
             if again.model.bic < model.bic:
                 model, step = again.model, replace(step, others=again.others)
         times = {s.key: t.others for t, s in tried} | {step.key: step.others}
-        # a rival that has fitted better where it was first tried is not forgotten
-        before = [(step.rival.model, s) for s in found if step.rival and s.key == step.rival.key]
+        # rivals that have fitted better where they were first tried are not forgotten
+        before = [(own.model, s) for own in step.tying for s in found if s.key == own.key]
         before = [(m, s) for m, s in before if {*m.keys} == {*less.keys, s.key}]
         alike = _alike_stepped(best_first([(model, step.score), *((t.model, s) for t, s in tried), *before]), sizes)
         model = next(m for m, s in alike if s is step.score)
@@ -480,9 +485,9 @@ def _swapped(steps: list[Step], lesser: Lesser, most: float) -> list[Step]:
         tying = rivals_of(less, model, score.key, [*finals, *forms])
         # what does not tie beside these may tie beside fewer
         gaps = dict.fromkeys(step.rivals, np.inf) | {s.key: gap_between(less, model, score.key, m, s.key) for m, s in tying}
-        closest = closest_rival(less, model, score.key, tying)
+        close = close_rivals(less, model, score.key, tying)
         pairs = step.pairs if score.key == step.key else {}
-        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, rival=closest, others=times[score.key], pairs=pairs)
+        steps[j] = replace(step, key=score.key, score=score, rivals=gaps, tying=close, others=times[score.key], pairs=pairs)
     steps[-1] = replace(steps[-1], after=model)
     return steps
 
