@@ -81,6 +81,11 @@ class Sketch:
         self.law, self.model = law, model
         self.rhos = list(model.frozen_values(POINTS)) if model.schedules else [None]
 
+    @property
+    def points(self) -> list[str]:
+        """The schedule values, as they are written."""
+        return [self.model.named(rho) or self.model.name for rho in self.rhos]
+
     @cached_property
     def _omega(self) -> np.ndarray:
         return frequencies(self.model.dt, FINER)
@@ -175,13 +180,3 @@ def _steps(system: Sequence[np.ndarray], samples: int, every: int) -> np.ndarray
         shown.append(np.diagonal(C @ x + D))
         x = many @ x + held @ B
     return np.array(shown).T
-
-
-def described(sketch: Sketch) -> dict[str, Any]:
-    """What a picture of its sketches is labelled with: schedule values, channels, frequencies."""
-    model = sketch.model
-    return {
-        "points": [model.named(rho) or model.name for rho in sketch.rhos],
-        "inputs": [c.name for c in model.inputs],
-        "outputs": [c.name for c in model.outputs],
-    }

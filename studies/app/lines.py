@@ -26,20 +26,19 @@ def python_lines(words: tuple[str, ...]) -> str:
 
 def _read(name: str, files: Sequence[str], options: Namespace) -> list[str]:
     """data = wb.read(..) with the roles of the options."""
-    if not files:
-        return []
-    roles = {"inputs": "inputs", "outputs": "outputs", "schedule": "schedule"}
-    said = {key: _several(names(getattr(options, own, None))) for key, own in roles.items() if getattr(options, own, None)}
-    if getattr(options, "schedule", None) == "none":
-        said.pop("schedule")
-    if getattr(options, "file_dt", None):
-        said["dt"] = f"{options.file_dt:g}"
-    return [f"{name} = wb.read({_called(map(_text, files), said)})"]
+    return [f"{name} = wb.read({_called(map(_text, files), _roles(options))})"] if files else []
+
+
+def _roles(options: Namespace) -> dict[str, str]:
+    """How records are read: roles of channels, and the sample time of files without one."""
+    asked = {key: getattr(options, key, None) for key in ("inputs", "outputs", "schedule")}
+    said = {key: _several(names(text)) for key, text in asked.items() if text and (key, text) != ("schedule", "none")}
+    dt = getattr(options, "file_dt", None)
+    return said | ({"dt": f"{dt:g}"} if dt else {})
 
 
 def _look(options: Namespace) -> list[str]:
-    said = {key: _several(names(getattr(options, key))) for key in ("inputs", "outputs", "schedule") if getattr(options, key)}
-    return [f"found = wb.look({_called(map(_text, options.records), said)})", *_saved("found", options)]
+    return [f"found = wb.look({_called(map(_text, options.records), _roles(options))})", *_saved("found", options)]
 
 
 def _identify(options: Namespace) -> list[str]:

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr
 from functools import lru_cache
 from io import StringIO
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from controllers.files import load_controller
-from controllers.sketch import Sketch, described
+from controllers.sketch import Sketch
 from studies.app.job import GONE
 from studies.app.lines import python_lines
 from studies.beginning import beginning
@@ -49,6 +49,13 @@ MARKS = {
     "design.json": "design", "check.json": "check",
 }  # fmt: skip
 USES = ("model", "held-out", "none")
+#: What fits an entry of session.json.
+FITS: dict[str, Callable[[Any], bool]] = {
+    "files": lambda v: isinstance(v, dict) and all(isinstance(k, str) and use in USES for k, use in v.items()),
+    "roles": lambda v: isinstance(v, dict) and all(isinstance(x, str) for pair in v.items() for x in pair),
+    "dt": lambda v: v is None or (isinstance(v, int | float) and 0.0 < v < 1e6),
+    "plant": lambda v: isinstance(v, str) and len(v) < 1000,
+}
 
 
 class Session:
@@ -90,13 +97,15 @@ class Session:
         }
 
     def chosen(self) -> dict[str, Any]:
-        """What session.json says, with what it leaves out; one that cannot be read counts as empty."""
+        """What session.json says, with what it leaves out; what cannot be read, or is of the wrong kind, counts as left out."""
         try:
             found = read_json(self.folder / "session.json")
         except InputError:
             found = {}
         found = found if isinstance(found, dict) else {}
-        return {key: found.get(key, usual) for key, usual in STATE.items()} | {"revision": int(found.get("revision", 0))}
+        revision = found.get("revision")
+        sound = {key: found[key] for key in STATE if key in found and FITS[key](found[key])}
+        return STATE | sound | {"revision": revision if isinstance(revision, int) else 0}
 
     def choose(self, revision: int, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Change session.json from this revision on. Raises InputError where another window was faster, or for a wrong entry."""
@@ -212,9 +221,8 @@ class Session:
         files = [self.folder / path for path in (controller, model)]
         changed = tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
         sketch = _sketch(*files, changed)
-        return (
-            described(sketch) | sketch.within(Bounds(bounds["sensitivity"], bounds["complementary"], bounds["effort"])).to_dict()
-        )
+        found = sketch.within(Bounds(bounds["sensitivity"], bounds["complementary"], bounds["effort"]))
+        return {"points": sketch.points} | found.to_dict()
 
     def write(self, name: str, text: str) -> None:
         """plant.py or limits.toml."""
@@ -246,13 +254,7 @@ class Session:
 
 def _check(key: str, value: Any) -> None:
     """Refuse an entry of session.json of the wrong kind."""
-    fits = {
-        "files": lambda v: isinstance(v, dict) and all(isinstance(k, str) and use in USES for k, use in v.items()),
-        "roles": lambda v: isinstance(v, dict) and all(isinstance(x, str) for pair in v.items() for x in pair),
-        "dt": lambda v: v is None or (isinstance(v, int | float) and 0.0 < v < 1e6),
-        "plant": lambda v: isinstance(v, str) and len(v) < 1000,
-    }
-    if not fits[key](value):
+    if not FITS[key](value):
         raise InputError(f"session: {key} is {value!r}", mend="see the page's own requests for what fits")
 
 

@@ -412,7 +412,7 @@ class Predictor:
                 continue
             j, own = plant.output_names.index(slot.place), self._memories + memory.index((slot.place, PLAY))
             z = np.broadcast_to(plant.output(list(flow[1:, : len(plant.states)].T), self.point.p, list(r.u[1:].T))[j], len(F))
-            H = self._sensed(r, corrected, np.zeros_like(eta), active, STEP * size)[1:, j]
+            H = self._sensed(r, corrected, plant.effect_vector(), active, STEP * size)[1:, j]
             row = active.tolist().index(own)
             F[:, row], G[:, row] = 0.0, 0.0
             beyond = np.abs(z - corrected[:-1, own]) - half_width

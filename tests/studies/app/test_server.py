@@ -155,6 +155,15 @@ def test_a_sketch_of_what_is_not_there_is_refused(asked, change):
     assert answer.json()["error"]
 
 
+@pytest.mark.parametrize("content", [{"revision": "x"}, {"files": 3}, {"roles": [1]}, {"dt": "soon", "plant": 7}, []])
+def test_a_session_file_of_another_hand_does_not_end_the_page(app, asked, content):
+    record(app.session.records / "a.csv", 1)
+    (app.session.folder / "session.json").write_text(json.dumps(content))
+    found = asked.get("/api/session")
+    assert found.status_code == 200
+    assert found.json()["chosen"] == {"files": {}, "roles": {}, "dt": None, "plant": "", "revision": 0}
+
+
 TEXTS = st.text(max_size=30)
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | TEXTS, lambda own: st.lists(own) | st.dictionaries(TEXTS, own)

@@ -166,6 +166,7 @@ def test_a_users_own_folders_do_not_stand_in_for_this_program(session):
 
 LINES = {
     "look records/a.csv --inputs U,V --outputs n": 'found = wb.look("records/a.csv", inputs=["U", "V"], outputs="n")',
+    "look a.csv --file-dt 0.01": 'found = wb.look("a.csv", dt=0.01)',
     "identify a.csv --inputs U --outputs n --schedule none --model ssm": 'models = wb.identify(data, methods=[\'ssm\'])',
     "diagnose a.csv --plant plant.py:PLANT --holdout b.csv": "found = wb.diagnose(plant, data, held)",
     "design pid --model 02/lti.json --low U=-1,V=0 --sensitivity 1.4":
