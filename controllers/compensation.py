@@ -1,16 +1,21 @@
-"""What a diagnosis has named, cancelled before the loop by curves over the motion of the set-points.
+"""What a diagnosis has named, cancelled: by curves over the motion of the set-points, by what the loop awaits, by inverses.
 
     v + dKa m' + dKaa m'' + sum_k a_k h_k(s_k),     s_k = position m + motion m',     h: the effect's own law, against it
 
-It is before the loop and takes nothing of margins or stability: what depends on how fast something turns or slides is known as
+That is before the loop and takes nothing of margins or stability: what depends on how fast something turns or slides is known as
 soon as the set-points are. How fast that is, s, is fitted to a run of the extended plant without effects. How much each command
 has to do, a, and what rates are fed forward too much, dKa and dKaa, for the identified model took the effect for viscous
 friction, are fitted to runs of the extended plant with them (Gauss-Newton on what is left of m - y, from none): feedforward by
 basis functions.
 
+Before the loop too is what it awaits: of an input's dead time L the feedforward acts at once and the loop compares y with m a
+time L ago, so that y follows m a time L later, and on time where the path is given that much early; of a sensor that is slow, or
+has play, the loop compares with what it will show while the machine itself follows m. In the loop are only the inverses of dead
+zones and of gears with play.
+
 Set-points move smoothly over the range of the records, and where they have reference models they step too: what is fitted to slow
 moves alone is wrong for fast ones. Nothing is cancelled that is not worth it: machines drawn within the 95 % intervals of the
-diagnosis follow the same set-points with it and without, and none may be worse along either.
+diagnosis follow the same set-points with it and without, and none may be worse along either; of an inverse under noise too.
 
 Sources: van de Wijdeven and Bosgra, "Using basis functions in iterative learning control", Int. J. Control 83 (2010), 661-675;
 Boeren, Bareja, Kok and Oomen, "Frequency-domain ILC approach for repeating and varying tasks", IEEE/ASME Trans. Mechatronics 21
@@ -23,7 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from controllers.scheduled_pid import Compensation, ScheduledPID
+from controllers.cancelled import Compensation, Inverse
+from controllers.scheduled_pid import LONGEST_LATE, ScheduledPID, parts
 from workbench.curves import Curve
 from workbench.data import SAME_DT
 from workbench.errors import InputError, check_known
@@ -47,6 +53,10 @@ SHARES, ENOUGH = (1.0, 0.5, 0.2), 0.99  # of a step, that are tried; ratio of sq
 RIDGE = 1e-4  # of what changes most: numbers that change nothing stay as they are
 SHORTEST, LONGEST, HELD = 20, 3000, 500  # samples of a move, and of a stand before them, in which a machine comes to rest
 DIED = 10.0  # time constants of a reference model that a step is given
+AWAITED = ("input-delay", "sensor-lag", "sensor-resonance", "backlash")  # effects that the loop awaits
+INVERTED = ("dead-zone", "gear-backlash")
+QUIET, FINE = 3.0, 256  # standard deviations of a command that change no side of an inverse; frequencies for them
+NOISY = 1  # seed of runs with noise
 ALONG = ("smooth moves", "steps")
 NODES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0)  # of a curve, in widths of the law's change of sign
 EVEN = 8  # nodes more, evenly up to the highest speed
@@ -65,9 +75,9 @@ class Moved:
 
 @record
 class Compensated:
-    """What became of a cause: whether it is cancelled, in a sentence, and errors of m - y of the drawn machines as they would be
-    without and with it, root mean square over outputs in units of their ranges: along smooth moves, and where there are reference
-    models after steps.
+    """What became of a cause: whether it is cancelled, in a sentence, and errors of the drawn machines as they would be without
+    and with it, root mean square over outputs in units of their ranges: along smooth moves, and where there are reference models
+    after steps. An error is m, as late as the law says, less what a sensor shows that has come to rest.
     """
 
     effect: str
@@ -113,29 +123,40 @@ def compensated(
     job = _Job(law, plant, moved, box)
     progress("feedforward on the extended plant")
     units, commands = job.units(law, followed)
-    best = _Feedforward(law, followed, commands, units, np.zeros(len(units)))
-    given, tuned = job.drawn(law), job.tuned(best)
-    after = job.drawn(tuned.law)
+    best = _Feedforward(law, followed, commands, units, np.zeros(len(units)), np.zeros(len(followed)))
+    given, tuned = job.drawn(best), job.tuned(best)
+    after = job.drawn(tuned)
     best, errors = (tuned, after) if _pays(given, given, after) else (best, given)
     if best is tuned:
         said = f"what is fed forward of rates is fitted to {plant.name}: errors of set-points are less {_less(given, after)}"
         told.append(Compensated("feedforward", True, said, given, after))
-    costs = {key: job.costs(key, best.law) for key in keys}
+    costs = {key: job.costs(key, best) for key in keys}
     for key in sorted(keys, key=lambda own: -costs[own]):
         progress(f"compensation of {key}")
         # what it costs beside what is left of the others, not beside what they cost before
-        added = _unsure(key, plant, content) or job.against(key, best, job.costs(key, best.law))
+        added = _unsure(key, plant, content) or job.against(key, best, job.costs(key, best))
         if isinstance(added, str):
             told.append(Compensated(key, False, f"{key} is not cancelled: {added}"))
             continue
         tried = job.tuned(added)
-        after = job.drawn(tried.law)
+        after = job.drawn(tried)
         done = _pays(given, errors, after)
+        if done and len(tried.base.inverses) > len(best.base.inverses):
+            under = job.drawn(best, NOISY), job.drawn(tried, NOISY)
+            done = bool(np.all(_ratio(*under) <= WORSE))
+            errors, after = (errors, after) if done else under
         said = f"{key} is cancelled: errors of set-points are less {_less(errors, after)}, on {len(after)} machines drawn within "
-        said = f"{said}its intervals" if done else f"{key} is not cancelled: {_lost(given, errors, after)}"
+        said = f"{said}its intervals{_early(tried, best)}" if done else f"{key} is not cancelled: {_lost(given, errors, after)}"
         told.append(Compensated(key, done, said, errors, after))
         best, errors = (tried, after) if done else (best, errors)
     return best.law, tuple(told)
+
+
+def _early(tried: "_Feedforward", before: "_Feedforward") -> str:
+    """What whoever gives the set-points has to know of a dead time."""
+    if (tried.due == before.due).all():
+        return ""
+    return f"; the outputs follow {tried.due.max():.4g} s after their set-points: give a path that much early"
 
 
 def _within_saturation(law: ScheduledPID, plant: Plant) -> tuple[ScheduledPID, list[Compensated]]:
@@ -225,6 +246,7 @@ def _moved(content: Any, path: Any) -> dict[str, Moved]:
 class _Feedforward:
     """A law and numbers that are added to what it feeds forward, in their units: of the rates and of the accelerations of the
     set-points that it follows (nu, nr each), and of every shape. shapes: curves whose largest value is 1, one for each command.
+    due: how long after m an output is to be there.
     """
 
     base: ScheduledPID
@@ -232,6 +254,7 @@ class _Feedforward:
     commands: np.ndarray = field("nu")
     units: np.ndarray = field("n")
     numbers: np.ndarray = field("n")
+    due: np.ndarray = field("nr", unit="s")
     shapes: tuple[Compensation, ...] = ()
 
     @property
@@ -274,6 +297,7 @@ class _Job:
         self.every = every
         held = np.repeat(self.references, every, axis=0)
         self.scenario = Scenario("job", dict(zip(law.references, held.T, strict=True)))
+        self.dt = law.dt
         jumped = [slot.effect.domain is Domain.TIME and slot.parameter.name == "time" for slot in plant.slots]
         long_ago = lambda own: np.where(jumped, [slot.parameter.low for slot in plant.slots], own)  # noqa: E731
         self._aims: dict[tuple[float, ...], tuple[np.ndarray, np.ndarray]] = {}
@@ -281,36 +305,54 @@ class _Job:
         p, drawn = box.vectors(np.random.default_rng(0).uniform(size=(DRAWN, box.n)))
         self.machines = np.vstack([self.found[0], p]), np.vstack([self.found[1], long_ago(drawn)])
 
-    def run(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> Any:
+    def run(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray, seed: int | None = None) -> Any:
         """Trajectories of machines (R), of one twice: compiling the program for a single run would take longer than the job."""
         p, eta = (np.repeat(own, 1 + (len(own) == 1), axis=0) for own in (p, eta))
         with np.errstate(all="ignore"):
-            return simulate_batch(self.plant, law, self.scenario, parameters=p, effects=eta, bumpless=True)
+            scenario = replace(self.scenario, seed=seed)
+            return simulate_batch(self.plant, law, scenario, parameters=p, effects=eta, bumpless=True)
 
-    def errors(self, law: ScheduledPID, p: np.ndarray, eta: np.ndarray) -> np.ndarray:
-        """(m - y) / size, (R, N, nr), of which self.along (N) says what they follow."""
-        y = self.run(law, p, eta).measured[: len(p), :: self.every, self.outputs]
-        m = np.array([self.aimed(law, own)[0] for own in y[:, 0]])
-        return ((m - y) / self.size)[:, HELD:]
+    def errors(self, given: "_Feedforward", p: np.ndarray, eta: np.ndarray, seed: int | None = None) -> np.ndarray:
+        """(m - y) / size, (R, N, nr), of which self.along (N) says what they follow; m as late as it is due."""
+        law = given.law
+        run = self.run(law, p, eta, seed)
+        m = np.array([self.aimed(law, own)[0] for own in run.measured[: len(p), 0, self.outputs]])
+        if (n := given.due / self.dt).any():
+            k = np.arange(m.shape[1])
+            m = np.array([[np.interp(k - late, k, own) for late, own in zip(n, machine.T, strict=True)] for machine in m])
+            m = np.moveaxis(m, 1, 2)
+        return ((m - self._shown(run, p, eta)) / self.size)[:, HELD:]
+
+    def _shown(self, run: Any, p: np.ndarray, eta: np.ndarray) -> np.ndarray:
+        """What sensors (R, N, nr) would show of where the machine is, had it been there for ever: no lag, no play, no noise."""
+        if self.plant.discrete:  # whose outputs may see a command that has not arrived yet
+            return run.measured[: len(p), :: self.every, self.outputs]
+        found = np.empty((len(p), len(self.references), len(self.outputs)))
+        for own, x, numbers, sizes in zip(found, run.states, p, eta, strict=False):
+            with np.errstate(all="ignore"):
+                z = self.plant.output(list(x[:: self.every].T), numbers)
+                read = self.plant.read(self.plant.settle(z, sizes), np.zeros(len(z)), sizes)
+            own[:] = np.column_stack([np.broadcast_to(read[j], len(own)) for j in self.outputs])
+        return found
 
     def aimed(self, law: ScheduledPID, begun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """m and m' (N, nr) from a first measurement (nr,): the same for every law of the job, whatever it feeds forward."""
         key = tuple(begun.tolist())
         if key not in self._aims:
-            self._aims[key] = law.aimed(self.references, begun)
+            self._aims[key] = law.aimed(self.references, begun)[:2]
         return self._aims[key]
 
-    def drawn(self, law: ScheduledPID) -> np.ndarray:
+    def drawn(self, given: "_Feedforward", seed: int | None = None) -> np.ndarray:
         """Root mean square errors (R, along) of the machine found and of the drawn ones; infinite where one leaves its range."""
-        return np.nan_to_num(self._sizes(self.errors(law, *self.machines)), nan=np.inf)
+        return np.nan_to_num(self._sizes(self.errors(given, *self.machines, seed)), nan=np.inf)
 
     def _sizes(self, e: np.ndarray) -> np.ndarray:
         """Root mean square (R, along) of errors (R, N, nr)."""
         return np.column_stack([np.sqrt(np.mean(e[:, self.along == k] ** 2, axis=(1, 2))) for k in np.unique(self.along)])
 
-    def left(self, law: ScheduledPID, by: np.ndarray) -> np.ndarray:
+    def left(self, given: "_Feedforward", by: np.ndarray) -> np.ndarray:
         """Errors of the machine found in units of `by` (along): steps count for no more than smooth moves."""
-        return (self.errors(law, *self.found)[0] / by[self.along][:, None]).ravel()
+        return (self.errors(given, *self.found)[0] / by[self.along][:, None]).ravel()
 
     def units(self, law: ScheduledPID, followed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the numbers of a feedforward are counted in, and commands (nu,): a unit moves them by as much as the job does."""
@@ -324,13 +366,13 @@ class _Job:
 
     def tuned(self, given: _Feedforward) -> _Feedforward:
         """The feedforward that leaves least of m - y on the machine found."""
-        by = np.maximum(self._sizes(self.errors(given.law, *self.found))[0], 1e-300)
-        best, e = given, self.left(given.law, by)
+        by = np.maximum(self._sizes(self.errors(given, *self.found))[0], 1e-300)
+        best, e = given, self.left(given, by)
         for _ in range(STEPS):
             if not np.isfinite(e).all():
                 return given
             moved = [replace(best, numbers=best.numbers + STEP * one) for one in np.eye(len(best.numbers))]
-            J = np.array([(self.left(own.law, by) - e) / STEP for own in moved]).T
+            J = np.array([(self.left(own, by) - e) / STEP for own in moved]).T
             if not np.isfinite(J).all():
                 return given
             size = np.linalg.norm(J, axis=0).max()
@@ -338,7 +380,7 @@ class _Job:
             way = np.linalg.lstsq(padded, -np.append(e, np.zeros(J.shape[1])), rcond=None)[0]
             for share in SHARES:
                 tried = replace(best, numbers=best.numbers + share * way)
-                after = self.left(tried.law, by)
+                after = self.left(tried, by)
                 if after @ after < e @ e:  # not where it is NaN
                     break
             else:
@@ -348,20 +390,26 @@ class _Job:
                 break
         return best
 
-    def costs(self, key: str, law: ScheduledPID) -> float:
+    def costs(self, key: str, given: "_Feedforward") -> float:
         """The share of the errors of the machine found that it would not have without an effect: along what that is most."""
         p, eta = self.found
         own = np.array([slot.key == key for slot in self.plant.slots])
-        with_it, without = (self._sizes(self.errors(law, p, each)) for each in (eta, np.where(own, self.plant.neutral, eta)))
+        with_it, without = (self._sizes(self.errors(given, p, each)) for each in (eta, np.where(own, self.plant.neutral, eta)))
         return 1.0 - float(np.min(without / with_it))
 
     def against(self, key: str, given: _Feedforward, costs: float) -> _Feedforward | str:
-        """The feedforward with shapes of an effect, of nothing yet; or why there are none, in words. costs: see `costs`."""
-        effect, place = next(slot.effect for slot in self.plant.slots if slot.key == key), key.partition("@")[2]
-        if not _speed_alone(self.plant, key):
-            return "only what depends on a speed alone is"
+        """The feedforward with what cancels an effect, of shapes nothing yet; or why there is none, in words. costs: see
+        `costs`.
+        """
+        effect, (kind, _, place) = next(slot.effect for slot in self.plant.slots if slot.key == key), key.partition("@")
+        if kind not in (*AWAITED, *INVERTED) and not _speed_alone(self.plant, key):
+            return "only what depends on a speed alone is, dead time, play, dead zones and slow sensors"
+        if kind in AWAITED:  # whatever it costs: the feedforward was fitted beside it
+            return self._awaiting(key, given)
         if not costs >= 1.0 - WORTH:
             return f"without it errors of set-points would be {max(costs, 0.0):.1%} less"
+        if kind in INVERTED:
+            return self._inverting(key, given)
         i = self.plant.state_names.index(self.plant.turning[place])
         if (told := self._told_by_set_points(given.law, i)) is None:
             return f"the set-points do not say how fast {place} moves"
@@ -372,6 +420,41 @@ class _Job:
         over, force = f"speed of {place} [{self.plant.states[i].unit}]", force / np.abs(force).max()
         curves = (Curve(name, v - rest, force) for name in given.base.actuated)
         return given.with_shapes([Compensation(c.input, key, position, motion, c, over) for c in curves])
+
+    def _awaiting(self, key: str, given: _Feedforward) -> _Feedforward | str:
+        """The loop awaits what an effect makes of m; of a dead time all outputs are as late."""
+        sizes, law, (effect, _, place) = _numbers(self.plant, key, self.found[1][0]), given.base, key.partition("@")
+        if place in self.plant.input_names:
+            later = np.maximum(sizes.time - given.due, 0.0)
+            changed, due = {"late": law.late + later}, given.due + later
+        else:
+            own, due = np.array([name == place for name in law.measured[: len(law.references)]], dtype=float), given.due
+            if not own.any():
+                return f"the law does not control {place}"
+            changed = {"play": law.play + own * sizes.half_width} if effect == "backlash" else {}
+            changed |= {} if changed else {"late": law.late + own * sizes.time * 2.0 * getattr(sizes, "damping", 0.5)}
+        if (late := changed.get("late", law.late)).max() >= LONGEST_LATE * law.dt:
+            return f"{late.max():.4g} s is more than {LONGEST_LATE} samples"
+        return replace(given, base=replace(law, **changed), due=due)
+
+    def _inverting(self, key: str, given: _Feedforward) -> _Feedforward | str:
+        """The command before an effect, whose side the noise of the law does not change."""
+        sizes, law, (effect, _, place) = _numbers(self.plant, key, self.found[1][0]), given.base, key.partition("@")
+        if place not in law.actuated:
+            return f"the law does not command {place}"
+        size = {"half_width": sizes.half_width} if effect == "dead-zone" else {"play": sizes.play}
+        before = next((own for own in law.inverses if own.input == place), None)
+        keep = QUIET * self._noise(law)[law.actuated.index(place)]
+        own = replace(before, **size) if before else Inverse(place, key, **size, keep=keep)
+        return replace(given, base=replace(law, inverses=(*(x for x in law.inverses if x is not before), own)))
+
+    def _noise(self, law: ScheduledPID) -> np.ndarray:
+        """Standard deviations (nu,) of commands by the noise of the sensors alone, in the middle of the schedule."""
+        omega = np.pi / law.dt * (np.arange(FINE) + 0.5) / FINE
+        K = law.gains_at(law.span.mean(axis=-1) if law.schedule else None)
+        direct = parts(omega, law.dt, law.Tf)[:, 2, None, None] * K.Kd + K.Kp
+        sigma = np.array([self.plant.noise.get(name, 0.0) for name in law.measured])
+        return np.sqrt(np.mean(np.abs(direct * sigma) ** 2, axis=0).sum(axis=-1))
 
     def _told_by_set_points(self, law: ScheduledPID, state: int) -> tuple[np.ndarray, np.ndarray, float, float] | None:
         """Weights of m and of m' (nr,), and what is added, that give a state where nothing rubs; and the largest of it. None

@@ -90,12 +90,26 @@ def compensation_csv(law: ScheduledPID) -> str:
     return text.getvalue()
 
 
+def awaited_csv(law: ScheduledPID) -> str:
+    """What the loop awaits of every output as CSV: m a dead time ago, through a play."""
+    rows = zip(law.measured, law.late.tolist(), law.play.tolist(), strict=True)
+    return "\n".join(["output,late,play", *(f"{name},{late!r},{play!r}" for name, late, play in rows)]) + "\n"
+
+
+def inverse_csv(law: ScheduledPID) -> str:
+    """Inverses of dead zones and play of actuators as CSV."""
+    rows = (f"{own.input},{own.effect},{own.half_width!r},{own.play!r},{own.keep!r}" for own in law.inverses)
+    return "\n".join(["command,effect,half_width,play,keep", *rows]) + "\n"
+
+
 def with_csv(law: ScheduledPID) -> dict[str, str]:
-    """File name -> CSV: the gain table, and the nodes of curves and compensations of a law that has some."""
+    """File name -> CSV: the gain table, and what else a law has, the nodes of curves and compensations among it."""
     found = {"gains.csv": gain_csv(law)}
     if law.curves:
         found["curves.csv"] = curve_csv(law)
-    return found | ({"compensations.csv": compensation_csv(law)} if law.compensations else {})
+    found |= {"compensations.csv": compensation_csv(law)} if law.compensations else {}
+    found |= {"awaited.csv": awaited_csv(law)} if law.late.any() or law.play.any() else {}
+    return found | ({"inverses.csv": inverse_csv(law)} if law.inverses else {})
 
 
 def gain_table(law: ScheduledPID) -> dict[str, Any]:
@@ -113,6 +127,8 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
         "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
         **shaping, **({"compensations": [own.to_dict() for own in law.compensations]} if law.compensations else {}),
+        **({"late": law.late, "play": law.play} if law.late.any() or law.play.any() else {}),
+        **({"inverses": [vars(own) for own in law.inverses]} if law.inverses else {}),
         **({"curves": [curve.to_dict() for curve in law.curves]} if law.curves else {}),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},
         "interpolation": SEVERAL if len(schedules) > 1 else INTERPOLATION,

@@ -118,13 +118,13 @@ class Curve:
         return np.clip(np.searchsorted(self.u, u, side="right") - 1, 0, len(self.u) - 2)
 
 
-def check_single(curves: Iterable[Curve], file: str) -> None:
+def check_single(inputs: Iterable[str], file: str, what: str = "curves") -> None:
     """Refuse several curves of one input."""
     seen = []
-    for curve in curves:
-        if curve.input in seen:
-            raise InputError("two curves of one input", file=file, channel=curve.input, mend="give it one")
-        seen.append(curve.input)
+    for name in inputs:
+        if name in seen:
+            raise InputError(f"two {what} of one input", file=file, channel=name, mend="give it one")
+        seen.append(name)
 
 
 def bent(u: Any, bends: Any) -> Any:

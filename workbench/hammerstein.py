@@ -50,7 +50,7 @@ class HammersteinWienerModel:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
-        check_single(self.curves, self.name)
+        check_single((own.input for own in self.curves), self.name)
         for curve in self.curves:
             check_known("input", curve.input, [c.name for c in self.core.inputs])
             if curve.input in [c.name for c in self.core.schedules]:

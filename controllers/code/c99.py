@@ -1,11 +1,12 @@
 """A scheduled PID as C99 for a microcontroller: a header and a source."""
 
+import textwrap
 from collections.abc import Callable
 from string import Template
 
 import numpy as np
 
-from controllers.code.constants import Table, curves_by_number, table_sizes, tables
+from controllers.code.constants import Table, awaits, curves_by_number, table_sizes, tables
 from controllers.code.text import (
     BASIS_NAMES,
     NO_LIMIT_FLOAT,
@@ -48,10 +49,10 @@ enum { ${NAME}_FREE, ${NAME}_AT_LOW, ${NAME}_AT_HIGH, ${NAME}_AT_RATE };
 typedef struct {
     /* memory */
     ${name}_real z[${NAME}_NU]; /* integral parts */
-    ${name}_real f[${NAME}_NY]; /* filtered derivatives of C $m - y */
-    ${name}_real d[${NAME}_NY]; /* last C $m - y */
+    ${name}_real f[${NAME}_NY]; /* filtered derivatives of C $l - y */
+    ${name}_real d[${NAME}_NY]; /* last C $l - y */
 ${shaping_state}    ${name}_real u[${NAME}_NU]; /* last commands */
-    $flag cold; /* no sample yet: no derivative$counted */
+$sides    $flag cold; /* no sample yet: no derivative$counted */
     $flag takes_over; /* the next command goes on from u */
     /* what the last step reports */
     bool valid; /* every number of the step was one: the last command is held where not */
@@ -124,7 +125,7 @@ $schedule    s->valid = $finite;
 $passed        return;
     }
 $accelerations    for (int j = 0; j < NY; ++j) {
-$shaping        const real d = C[j] * $aim - y[j];
+$shaping        const real d = C[j] * $awaited - y[j];
         s->f[j] = $first ? 0 : DECAY * s->f[j] + FRESH * (d - s->d[j]);
         s->d[j] = d;
     }
@@ -133,9 +134,9 @@ $shaping        const real d = C[j] * $aim - y[j];
         real push = 0; /* what the error adds to the integral part */
         for (int j = 0; j < NY; ++j) {
             own += $Kr * $aim;
-$Ka            own += $Kp * (B[j] * $aim - y[j]);
+$Ka            own += $Kp * (B[j] * $awaited - y[j]);
             own += $Kd * s->f[j];
-            push += PERIOD * $Ki * ($aim - y[j]);
+            push += PERIOD * $Ki * ($awaited - y[j]);
         }
 $compensating        if (s->takes_over)
             s->z[i] = $held - own;
@@ -148,7 +149,7 @@ ${wanting}        const real way = $first && !s->takes_over ? NO_LIMIT : RATE[i]
             : reached < $wanted || reached > $wanted ? ${NAME}_AT_RATE
             : ${NAME}_FREE;
         $integral
-        s->u[i] = u[i];
+$moved_on        s->u[i] = u[i];
     }
     $warm
 }
@@ -221,7 +222,42 @@ C_SHAPING_STATE = Template("""\
     double s[${NAME}_NY]; /* set-points within their slew */
     double m[${NAME}_NY]; /* reference models: what they move by in a sample may be less than a float's last digit */
     double n[${NAME}_NY]; /* their rates */
+$awaiting""")
+C_AWAITING_STATE = Template("""\
+    double line[${NAME}_NY][$line]; /* reference models of the last samples */
+    double l[${NAME}_NY]; /* what the loop awaits */
 """)
+C_SIDES = Template("""\
+    ${name}_real side[${NAME}_NU]; /* signs of what is commanded before inverses */
+    ${name}_real teeth[${NAME}_NU]; /* where the teeth stand, as impulses */
+""")
+C_AWAIT = """\
+const double newer = LAG[j] > 0 ? s->line[j][LAG[j] - 1] : s->m[j];
+const double late = newer + LAG_SHARE[j] * (s->line[j][LAG[j]] - newer);
+for (int k = LAGS - 1; k > 0; --k)
+    s->line[j][k] = s->line[j][k - 1];
+s->line[j][0] = s->m[j];
+s->l[j] = fmax(late - PLAY[j], fmin(late + PLAY[j], $stood));
+"""
+C_BEGIN_AWAITING = Template("""\
+        for (int k = 0; k < LAGS && $first; ++k)
+            s->line[j][k] = ${double}$begins;
+""")
+C_INVERT = Template("""\
+        const real linear = $linear;
+        if (linear > KEEP[i])
+            s->side[i] = 1;
+        else if (linear < -KEEP[i])
+            s->side[i] = -1;
+        if (s->takes_over)
+            s->teeth[i] = GEAR_PLAY[i] / 2 * s->side[i];
+        const real added = HALF_WIDTH[i] * s->side[i] + (GEAR_PLAY[i] / 2 * s->side[i] - s->teeth[i]) / PERIOD;
+        const real wanted = linear + added;
+""")
+C_MOVED_ON = """\
+        s->teeth[i] = clipped(s->teeth[i] + (u[i] - HALF_WIDTH[i] * s->side[i]) * PERIOD, -GEAR_PLAY[i] / 2, GEAR_PLAY[i] / 2);
+"""
+C_THROUGH = "s->u[i] - clipped(s->u[i], -HALF_WIDTH[i], HALF_WIDTH[i])"
 C_SHAPING = Template("""\
         const double way = SLEW[j] * ${double}PERIOD, held = $first ? ${double}$begins : s->s[j];
         const double m = $first ? ${double}$begins : s->m[j], n = $first ? 0 : s->n[j];
@@ -245,7 +281,7 @@ C_PASSED = Template("""\
             const double now = fmax(s->s[j] - way, fmin(s->s[j] + way, known));
             s->n[j] = (now - s->m[j]) / ${double}PERIOD;
             s->s[j] = s->m[j] = now;
-            if (!isfinite(r[j]))
+$goes_on            if (!isfinite(r[j]))
                 s->takes_over = 3;
         }
 """)
@@ -298,7 +334,8 @@ $commanded
 def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, str]:
     """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
     number, f = (_float, "f") if single else (double_text, "")
-    narrow = "(real)" * single  # of what is kept in double precision
+    narrow, double = "(real)" * single, "(double)" * single  # of what is kept in double precision, and to it
+    late, inverted = awaits(law), bool(law.inverses)
     accelerated, paths = bool(law.Kaa.any()), bool(law.paths.any())
     first = "s->cold == 3" if paths else "s->cold"
     if single:
@@ -322,29 +359,53 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
         "outside": "    bool outside; /* rho is outside the span of the gains, or no number */\n" * scheduled,
         "finite": isfinite if scheduled else "true",
         "u0": gain("U0[i]"), "Kp": gain("KP[i][j]"), "Ki": gain("KI[i][j]"), "Kd": gain("KD[i][j]"),
-        "Kr": gain("KR[i][j]"), "m": "m" if law.shaped else "r", "aim": f"{narrow}s->m[j]" if law.shaped else "r[j]",
+        "Kr": gain("KR[i][j]"),
+        "l": "l" if late else "m" if law.shaped else "r", "aim": f"{narrow}s->m[j]" if law.shaped else "r[j]",
+        "awaited": f"{narrow}s->l[j]" if late else f"{narrow}s->m[j]" if law.shaped else "r[j]",
         "Ka": f"            own += {gain('KA[i][j]')} * {narrow}s->n[j];\n" * law.shaped
         + f"            own += {gain('KAA[i][j]')} * {narrow}acceleration[j];\n" * accelerated,
-        "shaping": C_SHAPING.substitute(
-            double="(double)" * single, accelerate=(C_ACCELERATE + C_NOT_YET * paths) * accelerated, first=first,
-            begins="(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if paths else "y[j]",
-        ) * law.shaped,
+        "shaping": _c_shaping(law, first, double) * law.shaped,
         "first": first, "flag": "int" if paths else "bool", "begun": "3" if paths else "true",
         "counted": "; and samples until a path's acceleration is known" * paths,
         "warm": C_COUNTED if paths else "s->cold = s->takes_over = false;",
-        "passed": C_PASSED.substitute(double="(double)" * single) * paths,
+        "passed": C_PASSED.substitute(double=double, goes_on=_c_awaiting("s->l[j]", 12) * late) * paths,
         "accelerations": "    double acceleration[NY];\n" * accelerated,
         "compensating": "".join(_c_compensation(law, k, narrow) for k in range(len(law.compensations))),
-        "shaping_state": C_SHAPING_STATE.substitute(name=name, NAME=NAME) * law.shaped,
+        "shaping_state": C_SHAPING_STATE.substitute(
+            NAME=NAME, awaiting=C_AWAITING_STATE.substitute(NAME=NAME, line=sizes.get("LAGS")) * late
+        ) * law.shaped,
+        "sides": C_SIDES.substitute(name=name, NAME=NAME) * inverted, "moved_on": C_MOVED_ON * inverted,
         "curves": C_LINES * bool(law.curves or law.compensations) + (_c_curves(law) if law.curves else ""),
-        "wanted": "wanted" if law.curves else "v",
-        "held": "arrives(i, s->u[i])" if law.curves else "s->u[i]",
-        "wanting": "        const real wanted = commanded(i, v);\n" * bool(law.curves),
+        "wanted": "wanted" if law.curves or inverted else "v",
+        "held": _c_arrives(law, C_THROUGH if inverted else "s->u[i]"),
+        "wanting": C_INVERT.substitute(linear="commanded(i, v)" if law.curves else "v") if inverted
+        else "        const real wanted = commanded(i, v);\n" * bool(law.curves),
         "integral": Template(C_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else C_CLAMPING).substitute(
-            arrives="arrives(i, u[i])" if law.curves else "u[i]", wanted="wanted" if law.curves else "v"
+            arrives=_c_arrives(law, "u[i] - added" if inverted else "u[i]"), wanted="wanted" if law.curves or inverted else "v"
         ),
     }  # fmt: skip
     return C_HEADER.substitute(words), C_SOURCE.substitute(words)
+
+
+def _c_arrives(law: ScheduledPID, u: str) -> str:
+    """What arrives of a command, in C."""
+    return f"arrives(i, {u})" if law.curves else f"({u})" if " " in u else u
+
+
+def _c_shaping(law: ScheduledPID, first: str, double: str) -> str:
+    """Statements that make m, its rate and acceleration, and what the loop awaits."""
+    accelerate = (C_ACCELERATE + C_NOT_YET * bool(law.paths.any())) * bool(law.Kaa.any())
+    begins = "(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if law.paths.any() else "y[j]"
+    text = C_SHAPING.substitute(double=double, accelerate=accelerate, first=first, begins=begins)
+    if not awaits(law):
+        return text
+    begun = C_BEGIN_AWAITING.substitute(first=first, double=double, begins=begins)
+    return text + begun + _c_awaiting(f"{first} ? late : s->l[j]", 8)
+
+
+def _c_awaiting(stood: str, indent: int) -> str:
+    """Statements that make what the loop awaits; stood: what the play showed before."""
+    return textwrap.indent(Template(C_AWAIT).substitute(stood=stood), " " * indent)
 
 
 def _c_compensation(law: ScheduledPID, k: int, narrow: str) -> str:

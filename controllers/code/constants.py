@@ -52,8 +52,38 @@ def tables(law: ScheduledPID) -> list[Table]:
             else []
         ),
         *(_shaping(law) if law.shaped else []),
+        *(_awaited(law) if awaits(law) else []),
         *(table for k, own in enumerate(law.compensations, 1) for table in _compensation(law, k, own)),
+        *(_inverses(law) if law.inverses else []),
         *(table for i, own in curves_by_number(law) for table in _curve(law, i, own)),
+    ]
+
+
+def awaits(law: ScheduledPID) -> bool:
+    """Whether the loop awaits something else than m."""
+    return bool(law.late.any() or law.play.any())
+
+
+def _awaited(law: ScheduledPID) -> list[Table]:
+    """What makes l of m."""
+    outputs, (lags, shares) = channels(law, law.measured), law.lags
+    return [
+        Table("LAG", ("NY",), lags, f"whole samples of dead times: {outputs}", whole=True),
+        Table("LAG_SHARE", ("NY",), shares, "of one sample more", wide=True),
+        Table("PLAY", ("NY",), law.play, f"half widths of the play of sensors: {outputs}", wide=True),
+    ]
+
+
+def _inverses(law: ScheduledPID) -> list[Table]:
+    """What inverts dead zones and play of actuators; 0 for a command without."""
+    own, inputs = np.zeros((3, len(law.actuated))), channels(law, law.actuated)
+    for inverse in law.inverses:
+        own[:, law.actuated.index(inverse.input)] = inverse.numbers
+    said = "; ".join(f"inverse of {inverse.effect}" for inverse in law.inverses)
+    return [
+        Table("HALF_WIDTH", ("NU",), own[0], f"{said}: half widths of dead zones: {inputs}"),
+        Table("GEAR_PLAY", ("NU",), own[1], "impulses that are lost from flank to flank"),
+        Table("KEEP", ("NU",), own[2], "sizes of a command up to which its side stays"),
     ]
 
 
@@ -153,6 +183,7 @@ def table_sizes(law: ScheduledPID) -> dict[str, int]:
     m, nu, ny = law.Kp.shape
     common = {"NU": nu, "NY": ny} | {f"NODES_{i}": len(own.u) for i, own in curves_by_number(law)}
     common |= {f"POINTS_{k}": len(own.curve.u) for k, own in enumerate(law.compensations, 1)}
+    common |= {"LAGS": int(law.lags[0].max()) + 1} if awaits(law) else {}
     if not law.schedule:
         return common
     if not isinstance(law.basis, Products):

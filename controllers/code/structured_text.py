@@ -5,7 +5,7 @@ import textwrap
 from string import Template
 from typing import NamedTuple
 
-from controllers.code.constants import Table, channels, curves_by_number, table_sizes, tables
+from controllers.code.constants import Table, awaits, channels, curves_by_number, table_sizes, tables
 from controllers.code.text import (
     BASIS_NAMES,
     NO_LIMIT,
@@ -45,8 +45,8 @@ VAR
     warm : BOOL; (* there is a sample before this one *)
     takes_over : BOOL; (* the next command goes on from last *)
     z : ARRAY[1..$nu_u] OF LREAL; (* integral parts *)
-    f : ARRAY[1..$nu_y] OF LREAL; (* filtered derivatives of C $m - y *)
-    d : ARRAY[1..$nu_y] OF LREAL; (* last C $m - y *)
+    f : ARRAY[1..$nu_y] OF LREAL; (* filtered derivatives of C $l - y *)
+    d : ARRAY[1..$nu_y] OF LREAL; (* last C $l - y *)
 $shaping_state    last : ARRAY[1..$nu_u] OF LREAL; (* last commands *)
     difference : LREAL;
     own : LREAL; (* the command without its integral part *)
@@ -67,7 +67,7 @@ IF restart OR take_over THEN
 $counted_anew    FOR i := 1 TO NU DO
         z[i] := 0.0;
         last[i] := 0.0;
-        IF take_over THEN
+$sides_anew        IF take_over THEN
             last[i] := held[i];
         END_IF;
     END_FOR;
@@ -92,7 +92,7 @@ $passed    RETURN;
 END_IF;
 
 FOR j := 1 TO NY DO
-$shaping    difference := C[j] * $aim - measured[j];
+$shaping    difference := C[j] * $awaited - measured[j];
     IF warm THEN
         f[j] := DECAY * f[j] + FRESH * (difference - d[j]);
     ELSE
@@ -106,9 +106,9 @@ $u0
     push := 0.0;
     FOR j := 1 TO NY DO
 $gains        own := own + $Kr * $aim;
-$Ka        own := own + $Kp * (B[j] * $aim - measured[j]);
+$Ka        own := own + $Kp * (B[j] * $awaited - measured[j]);
         own := own + $Kd * f[j];
-        push := push + PERIOD * $Ki * ($aim - measured[j]);
+        push := push + PERIOD * $Ki * ($awaited - measured[j]);
     END_FOR;
 $compensating    IF takes_over THEN
 $held        z[i] := $arrived - own;
@@ -136,7 +136,7 @@ $wanting    reached := $wanted;
     END_IF;
 
 $arriving$integral
-    last[i] := command[i];
+$moved_on    last[i] := command[i];
 END_FOR;
 warm := TRUE;
 takes_over := FALSE;
@@ -258,6 +258,77 @@ ST_SHAPING = """\
     m[j] := MODEL[j, 1] * before + MODEL[j, 2] * n[j] + MODEL[j, 3] * s[j];
 $kept    n[j] := MODEL[j, 4] * before + MODEL[j, 5] * n[j] + MODEL[j, 6] * s[j];
 $accelerate"""
+ST_AWAITING_STATE = """\
+    line : ARRAY[1..$ny, 1..$line] OF LREAL; (* reference models of the last samples *)
+    l : ARRAY[1..$ny] OF LREAL; (* what the loop awaits *)
+    newer : LREAL;
+    late : LREAL;
+"""
+ST_SIDES = """\
+    side : ARRAY[1..$nu] OF LREAL; (* signs of what is commanded before inverses *)
+    teeth : ARRAY[1..$nu] OF LREAL; (* where the teeth stand, as impulses *)
+    linear : LREAL; (* the command before an inverse *)
+    added : LREAL; (* what an inverse adds to it *)
+"""
+ST_SIDES_ANEW = """\
+        side[i] := 0.0;
+        teeth[i] := 0.0;
+"""
+ST_AWAIT = """\
+newer := m[j];
+IF LAG[j] > 1 THEN
+    newer := line[j, LAG[j] - 1];
+END_IF;
+late := newer + LAG_SHARE[j] * (line[j, LAG[j]] - newer);
+FOR i := 2 TO LAGS DO
+    line[j, LAGS + 2 - i] := line[j, LAGS + 1 - i];
+END_FOR;
+line[j, 1] := m[j];
+IF NOT warm THEN
+    l[j] := late;
+END_IF;
+IF l[j] > late + PLAY[j] THEN
+    l[j] := late + PLAY[j];
+ELSIF l[j] < late - PLAY[j] THEN
+    l[j] := late - PLAY[j];
+END_IF;
+"""
+ST_BEGIN_AWAITING = """\
+    FOR i := 1 TO LAGS DO
+        IF NOT warm THEN
+            line[j, i] := $begins;
+        END_IF;
+    END_FOR;
+"""
+ST_INVERT = """\
+    linear := $linear;
+    IF linear > KEEP[i] THEN
+        side[i] := 1.0;
+    ELSIF linear < -KEEP[i] THEN
+        side[i] := -1.0;
+    END_IF;
+    IF takes_over THEN
+        teeth[i] := GEAR_PLAY[i] / 2.0 * side[i];
+    END_IF;
+    added := HALF_WIDTH[i] * side[i] + (GEAR_PLAY[i] / 2.0 * side[i] - teeth[i]) / PERIOD;
+    wanted := linear + added;
+"""
+ST_MOVED_ON = """\
+    teeth[i] := teeth[i] + (command[i] - HALF_WIDTH[i] * side[i]) * PERIOD;
+    IF teeth[i] > GEAR_PLAY[i] / 2.0 THEN
+        teeth[i] := GEAR_PLAY[i] / 2.0;
+    ELSIF teeth[i] < -GEAR_PLAY[i] / 2.0 THEN
+        teeth[i] := -GEAR_PLAY[i] / 2.0;
+    END_IF;
+"""
+ST_THROUGH = """\
+        linear := 0.0; (* what a dead zone leaves of the last command *)
+        IF last[i] > HALF_WIDTH[i] THEN
+            linear := last[i] - HALF_WIDTH[i];
+        ELSIF last[i] < -HALF_WIDTH[i] THEN
+            linear := last[i] + HALF_WIDTH[i];
+        END_IF;
+"""
 ST_NOT_YET = """\
     IF AT_SETPOINT[j] > 0.0 AND unknown > 1 THEN (* not known yet *)
         acceleration[j] := 0.0;
@@ -301,7 +372,7 @@ ST_PASSED = """\
             END_IF;
             n[j] := (s[j] - before) / PERIOD;
             m[j] := s[j];
-        END_IF;
+$goes_on        END_IF;
     END_FOR;
 """
 ST_ACCELERATE = """\
@@ -341,6 +412,7 @@ ST_CLAMPING = """\
 def st_code(law: ScheduledPID, name: str) -> str:
     """A FUNCTION_BLOCK of that name, all numbers LREAL."""
     scheduled, sizes = law.schedule is not None, table_sizes(law)
+    late, inverted, bent = awaits(law), bool(law.inverses), bool(law.curves)
     accelerated, paths, fed = bool(law.Kaa.any()), bool(law.paths.any()), ["Ka"] * law.shaped + ["Kaa"] * bool(law.Kaa.any())
     of_rates = (Template(ST_GAIN_OF_RATES).substitute(gain=f"gain_{key[1:]}", K=key.upper()) for key in fed)
     gains = (ST_GAINS + "".join(of_rates)) * scheduled
@@ -349,9 +421,18 @@ def st_code(law: ScheduledPID, name: str) -> str:
     kind = f"ARRAY[1..{len(inputs)}] OF LREAL" if len(inputs) > 1 else "LREAL"
     weights = _st_scheduling(law) if scheduled else ""
     curves = _st_curves(law, "v", "wanted", 0)
+    begins = "measured[j] + AT_SETPOINT[j] * (set_point[j] - measured[j])" if paths else "measured[j]"
+    shaping = (
+        Template(ST_SHAPING).substitute(
+            begins=begins,
+            kept="    n_before := n[j];\n" * accelerated,
+            accelerate=(ST_ACCELERATE + ST_NOT_YET * paths) * accelerated,
+        )
+        + (Template(ST_BEGIN_AWAITING).substitute(begins=begins) + textwrap.indent(ST_AWAIT, 4 * " ")) * late
+    )
     compensating = "".join(_st_compensation(law, k) for k in range(len(law.compensations)))
     counted = re.findall(
-        r"\w+", weights + gains + curves + compensating
+        r"\w+", weights + gains + curves + compensating + shaping * law.shaped
     )  # a constant that nobody reads is refused by some compilers
     names = {"outputs": law.measured, "references": law.references, "inputs": law.actuated}
     words = {
@@ -363,7 +444,9 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "schedule_out": "    outside : BOOL; (* the schedule is outside the span of the gains, or no number *)\n" * scheduled,
         "locals": "".join(
             [
-                ST_CURVE_LOCALS * bool(law.curves), "    node : INT;\n" * bool(law.curves or law.compensations),
+                ST_CURVE_LOCALS * bent,
+                "    wanted : LREAL; (* the command after the inverse *)\n" * (inverted and not bent),
+                "    node : INT;\n" * bool(law.curves or law.compensations),
                 "    moved : LREAL; (* where a compensation's curve is read *)\n" * bool(law.compensations),
                 ST_COUNTERS * paths,
                 f"    n_before : LREAL;\n    acceleration : ARRAY[1..{sizes['NY']}] OF LREAL;\n" * accelerated,
@@ -375,19 +458,26 @@ def st_code(law: ScheduledPID, name: str) -> str:
         "u0": ST_U0 if scheduled else "    own := U0[i];", "gains": gains, **named,
         "Ka": f"        own := own + {named['Ka']} * n[j];\n" * law.shaped
         + f"        own := own + {named['Kaa']} * acceleration[j];\n" * accelerated,
-        "shaping": Template(ST_SHAPING).substitute(
-            begins="measured[j] + AT_SETPOINT[j] * (set_point[j] - measured[j])" if paths else "measured[j]",
-            kept="    n_before := n[j];\n" * accelerated, accelerate=(ST_ACCELERATE + ST_NOT_YET * paths) * accelerated,
-        ) * law.shaped,
-        "compensating": compensating, "passed": ST_PASSED * paths, "counted": ST_COUNTED * paths,
+        "shaping": shaping * law.shaped, "compensating": compensating,
+        "passed": Template(ST_PASSED).substitute(goes_on=textwrap.indent(ST_AWAIT, 12 * " ") * late) * paths,
+        "counted": ST_COUNTED * paths,
         "counted_anew": ST_COUNTED_ANEW * paths,
-        "shaping_state": Template(ST_SHAPING_STATE).substitute(ny=sizes["NY"]) * law.shaped,
+        "shaping_state": Template(ST_SHAPING_STATE + ST_AWAITING_STATE * late).substitute(ny=sizes["NY"], line=sizes.get("LAGS"))
+        * law.shaped + Template(ST_SIDES).substitute(nu=sizes["NU"]) * inverted,
+        "sides_anew": ST_SIDES_ANEW * inverted, "moved_on": ST_MOVED_ON * inverted,
         "m": "m" if law.shaped else "r", "aim": "m[j]" if law.shaped else "set_point[j]",
-        "held": _st_curves(law, "last[i]", "arrives", 8), "arrived": "arrives" if law.curves else "last[i]",
-        "wanting": _st_curves(law, "v", "wanted", 4), "wanted": "wanted" if law.curves else "v",
-        "arriving": _st_curves(law, "command[i]", "arrives", 4) * isinstance(law.anti_windup, BackCalculation),
+        "l": "l" if late else "m" if law.shaped else "r",
+        "awaited": "l[j]" if late else "m[j]" if law.shaped else "set_point[j]",
+        "held": ST_THROUGH * inverted + _st_curves(law, "linear" if inverted else "last[i]", "arrives", 8),
+        "arrived": "arrives" if bent else "linear" if inverted else "last[i]",
+        "wanting": _st_curves(law, "v", "wanted", 4)
+        + Template(ST_INVERT).substitute(linear="wanted" if bent else "v") * inverted,
+        "wanted": "wanted" if bent or inverted else "v",
+        "arriving": _st_curves(law, "command[i] - added" if inverted else "command[i]", "arrives", 4)
+        * isinstance(law.anti_windup, BackCalculation),
         "integral": Template(ST_BACK_CALCULATION if isinstance(law.anti_windup, BackCalculation) else ST_CLAMPING).substitute(
-            arrived="arrives" if law.curves else "command[i]", wanted="wanted" if law.curves else "v"
+            arrived="arrives" if bent else "(command[i] - added)" if inverted else "command[i]",
+            wanted="wanted" if bent or inverted else "v",
         ),
     }  # fmt: skip
     return ST_BLOCK.substitute(words)

@@ -26,12 +26,15 @@ class CompiledLaw:
         nu, ny = law.Kp.shape[1:]
         self.scheduled, self.real = law.schedule is not None, ctypes.c_float if single else ctypes.c_double
 
-        flag = ctypes.c_int if law.paths.any() else ctypes.c_bool
+        flag, kept = ctypes.c_int if law.paths.any() else ctypes.c_bool, int(np.max(law.late) / law.dt + 1e-9) + 1
+        awaits = law.late.any() or law.play.any()
 
         class State(ctypes.Structure):
             _fields_ = (
                 ("z", self.real * nu), ("f", self.real * ny), ("d", self.real * ny),
-                *((key, ctypes.c_double * ny) for key in ("s", "m", "n") * law.shaped), ("u", self.real * nu),
+                *((key, ctypes.c_double * ny) for key in ("s", "m", "n") * law.shaped),
+                *([("line", ctypes.c_double * kept * ny), ("l", ctypes.c_double * ny)] if awaits else []), ("u", self.real * nu),
+                *((key, self.real * nu) for key in ("side", "teeth") if law.inverses),
                 ("cold", flag), ("takes_over", flag), ("valid", ctypes.c_bool),
                 *((("outside", ctypes.c_bool),) if self.scheduled else ()), ("limit", ctypes.c_int * nu),
             )  # fmt: skip

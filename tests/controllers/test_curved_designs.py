@@ -11,9 +11,10 @@ import pytest
 
 import workbench as wb
 from controllers import MPCDesign, ScheduledPIDDesign
+from controllers.cancelled import Compensation
 from controllers.files import load_controller, save_controller
 from controllers.pid import pid
-from controllers.scheduled_pid import Compensation, ScheduledPID
+from controllers.scheduled_pid import ScheduledPID
 from studies.cli import main
 from workbench.curves import Curve, bent
 from workbench.data import Channel, Dataset, Experiment

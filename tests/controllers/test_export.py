@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import interpn
 
+from controllers.cancelled import Compensation, Inverse
 from controllers.code.c99 import c_code
 from controllers.code.names import identifier
 from controllers.code.structured_text import st_code
 from controllers.code.text import WIDTH
 from controllers.mpc import design_mpc
 from controllers.pid import pid
-from controllers.scheduled_pid import BackCalculation, Clamping, Compensation, ScheduledPID
+from controllers.scheduled_pid import BackCalculation, Clamping, ScheduledPID
 from controllers.tables import gain_csv, gain_table, mpc_matrices, with_csv
 from plants import WEB_WINDING
 from studies.experiments import plan
@@ -116,6 +117,38 @@ LAWS = {
         25, 2, 2, slew=(0.7, np.inf), Ka=[[[0.3, -0.1], [-0.2, 0.4]]], Kaa=[[[0.03, 0.01], [-0.02, 0.04]]]
     ),
     "compensation of what stands still, a curve": drawn(24, 3, 3, curves=(VALVE,), compensations=STILL, anti_windup=Clamping()),
+    "awaited over knots": drawn(
+        26,
+        2,
+        3,
+        KNOTS,
+        3,
+        **FED,
+        bandwidth=(9.0, 40.0, np.inf),
+        compensations=ADDED,
+        late=(0.1, 0.0, 0.213),
+        play=(0.0, 0.3, 0.2),
+    ),
+    "late paths of a fixed law, inverses": drawn(
+        27,
+        2,
+        2,
+        slew=(0.7, np.inf),
+        Ka=[[[0.3, -0.1], [-0.2, 0.4]]],
+        late=(0.03, 0.08),
+        inverses=(Inverse("V2", "dead-zone@V2", 0.4, 0.0, 0.05), Inverse("V1", "gear-backlash@V1", 0.0, 0.06, 0.1)),
+    ),
+    "inverse before a curve, clamping, play": drawn(
+        28,
+        3,
+        2,
+        KNOTS,
+        3,
+        curves=(SQUARE, VALVE),
+        anti_windup=Clamping(),
+        play=(0.2, 0.0),
+        inverses=(Inverse("V1", "dead-zone@V1", 0.3, 0.05, 0.02),),
+    ),
     "no limits": drawn(13, 2, 3, low=(-np.inf,) * 2, high=(np.inf,) * 2, rate=(np.inf,) * 2),
 }
 

@@ -65,7 +65,8 @@ def as_arriving(law: Any, model: Model, records: Dataset, limits: LoopLimits) ->
         unit_of(own, units)  # refused in the words of the file that asks
     names = {name: f"f({name})" for name in commanded}
     units = {names.get(key, key): unit for key, unit in inner.units.items()}
-    added = {"compensations": tuple(replace(own, input=names.get(own.input, own.input)) for own in inner.compensations)}
+    kinds = ("compensations", "inverses")
+    added = {kind: tuple(replace(own, input=names.get(own.input, own.input)) for own in getattr(inner, kind)) for kind in kinds}
     inner = replace(inner, actuated=tuple(names.get(a, a) for a in inner.actuated), units=units, **added)
     core = replace(core, inputs=_named(core.inputs, names))
     records = Dataset(tuple(replace(e, channels=_named(e.channels, names)) for e in records))

@@ -75,7 +75,10 @@ def on_model(
     InputError for limits that ask for what the loop does not have.
     """
     model, of, several = left.model, f"model {left.model.name}", len(left.model.schedules) > 1
-    if getattr(law, "compensations", ()):
+    if getattr(law, "inverses", ()):
+        said = "the law inverts a dead zone or play, and no inverse is exact: nothing is proved of such a loop, simulate runs it"
+        return Part(TITLE, tuple(Verdict(claim, of, Status.UNDECIDED, math.nan, "", said) for claim in claimed(limits)))
+    if getattr(law, "cancels", False):
         return _before_the_loop(left, law, limits, plant, nodes=nodes, rate=rate, driver=driver, progress=progress)
     nodes = nodes or (FEWER if several else NODES)
     compared = [rho for n in ((nodes,) if several else (nodes, COMPARED)) for rho in model.frozen_values(n) if rho is not None]
@@ -96,8 +99,8 @@ def on_model(
 
 
 def _before_the_loop(left: Open, law: Any, limits: LoopLimits, plant: Plant | None, **options: Any) -> Part:
-    """The loop of a law that compensates effects by curves over its set-points: they are not in it, but in every run."""
-    said = "the law adds curves over its set-points, of which nothing is proved along a run: simulate runs it"
+    """The loop of a law that cancels effects before it, by curves over its set-points or a play: they are in every run."""
+    said = "the law adds curves over its set-points or awaits play, nothing is proved along a run: simulate runs it"
     for own in limits.limits:
         unit_of(own, {c.name: c.unit for c in (*left.model.inputs, *left.model.outputs)})  # refuses what is no signal
     along = claimed(replace(limits, stable=False, margin=None, sensitivity=None, disk=None))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from controllers.cancelled import Compensation
 from controllers.pid import pid
-from controllers.scheduled_pid import Compensation
 from workbench.basis import CONSTANT, Powers
 from workbench.curves import Curve
 from workbench.data import Channel
