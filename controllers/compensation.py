@@ -53,8 +53,10 @@ SHARES, ENOUGH = (1.0, 0.5, 0.2), 0.99  # of a step, that are tried; ratio of sq
 RIDGE = 1e-4  # of what changes most: numbers that change nothing stay as they are
 SHORTEST, LONGEST, HELD = 20, 3000, 500  # samples of a move, and of a stand before them, in which a machine comes to rest
 DIED = 10.0  # time constants of a reference model that a step is given
-AWAITED = ("input-delay", "sensor-lag", "sensor-resonance", "backlash")  # effects that the loop awaits
+LATE = ("input-delay", "sensor-lag", "sensor-resonance")
+AWAITED = (*LATE, "backlash")  # effects that the loop awaits
 INVERTED = ("dead-zone", "gear-backlash")
+DIFFERENCED = 1.5  # samples that second differences, held for one, are late
 QUIET, FINE = 3.0, 256  # standard deviations of a command that change no side of an inverse; frequencies for them
 NOISY = 1  # seed of runs with noise
 ALONG = ("smooth moves", "steps")
@@ -77,7 +79,8 @@ class Moved:
 class Compensated:
     """What became of a cause: whether it is cancelled, in a sentence, and errors of the drawn machines as they would be without
     and with it, root mean square over outputs in units of their ranges: along smooth moves, and where there are reference models
-    after steps. An error is m, as late as the law says, less what a sensor shows that has come to rest.
+    after steps. An error is m, as late as the law says, less what a sensor shows that has come to rest. late (nr): how late
+    outputs follow in the end, of the effect "lateness".
     """
 
     effect: str
@@ -85,6 +88,7 @@ class Compensated:
     sentence: str
     before: np.ndarray = field("n along", default_factory=lambda: np.empty((0, 0)))
     after: np.ndarray = field("n along", default_factory=lambda: np.empty((0, 0)))
+    late: np.ndarray = field("nr", unit="s", default_factory=lambda: np.empty(0))
 
     @property
     def ratio(self) -> np.ndarray:
@@ -93,12 +97,20 @@ class Compensated:
 
 
 def compensated(
-    law: ScheduledPID, plant: Plant, content: Any, path: Any = "diagnosis", progress: Say = lambda _: None
+    law: ScheduledPID,
+    plant: Plant,
+    content: Any,
+    path: Any = "diagnosis",
+    progress: Say = lambda _: None,
+    *,
+    early: bool = False,
 ) -> tuple[ScheduledPID, tuple[Compensated, ...]]:
     """The law with what cancels causes that a diagnosis has named, where that pays, and what became of each.
 
     plant: extended by the diagnosis. content: what is in its diagnosis.json; path: the file, for messages. Causes are taken in
-    the order of what they cost. Raises InputError for content of another plant, or of no diagnosis.
+    the order of what they cost. early: paths are given as much early as is said in the end, so that outputs may follow them late:
+    as late as a dead time makes them, and as differences tell rates and accelerations late. Raises InputError for content of
+    another plant, or of no diagnosis.
 
         >>> found = diagnose(MOTOR, data, held_out)
         >>> smooth = ScheduledPIDDesign(knots=1, paths=("n",)).on(model)
@@ -124,17 +136,18 @@ def compensated(
     progress("feedforward on the extended plant")
     units, commands = job.units(law, followed)
     best = _Feedforward(law, followed, commands, units, np.zeros(len(units)), np.zeros(len(followed)))
-    given, tuned = job.drawn(best), job.tuned(best)
-    after = job.drawn(tuned)
-    best, errors = (tuned, after) if _pays(given, given, after) else (best, given)
-    if best is tuned:
-        said = f"what is fed forward of rates is fitted to {plant.name}: errors of set-points are less {_less(given, after)}"
-        told.append(Compensated("feedforward", True, said, given, after))
+    given = errors = job.drawn(best)
+    for begun in (best, *([_differenced(best)] if early and law.paths.any() else [])):
+        after = job.drawn(tuned := job.tuned(begun))
+        best, errors = (tuned, after) if _pays(given, errors, after) else (best, errors)
+    if errors is not given:
+        said = f"what is fed forward of rates is fitted to {plant.name}: errors of set-points are less {_less(given, errors)}"
+        told.append(Compensated("feedforward", True, said, given, errors))
     costs = {key: job.costs(key, best) for key in keys}
     for key in sorted(keys, key=lambda own: -costs[own]):
         progress(f"compensation of {key}")
         # what it costs beside what is left of the others, not beside what they cost before
-        added = _unsure(key, plant, content) or job.against(key, best, job.costs(key, best))
+        added = _unsure(key, plant, content) or job.against(key, best, job.costs(key, best), early)
         if isinstance(added, str):
             told.append(Compensated(key, False, f"{key} is not cancelled: {added}"))
             continue
@@ -146,17 +159,20 @@ def compensated(
             done = bool(np.all(_ratio(*under) <= WORSE))
             errors, after = (errors, after) if done else under
         said = f"{key} is cancelled: errors of set-points are less {_less(errors, after)}, on {len(after)} machines drawn within "
-        said = f"{said}its intervals{_early(tried, best)}" if done else f"{key} is not cancelled: {_lost(given, errors, after)}"
+        said = f"{said}its intervals" if done else f"{key} is not cancelled: {_lost(given, errors, after)}"
         told.append(Compensated(key, done, said, errors, after))
         best, errors = (tried, after) if done else (best, errors)
+    if best.due.any():
+        each = ", ".join(f"{name} {late:.4g} s" for name, late in zip(law.measured, best.due.tolist(), strict=False) if late)
+        said = f"outputs follow after their set-points: {each}; give paths that much early"
+        told.append(Compensated("lateness", True, said, late=best.due))
     return best.law, tuple(told)
 
 
-def _early(tried: "_Feedforward", before: "_Feedforward") -> str:
-    """What whoever gives the set-points has to know of a dead time."""
-    if (tried.due == before.due).all():
-        return ""
-    return f"; the outputs follow {tried.due.max():.4g} s after their set-points: give a path that much early"
+def _differenced(given: "_Feedforward") -> "_Feedforward":
+    """The loop awaits m as late as differences from sample to sample, held for one, tell its acceleration."""
+    late = np.where(given.base.paths, DIFFERENCED * given.base.dt, 0.0)
+    return replace(given, base=replace(given.base, late=given.base.late + late), due=given.due + late)
 
 
 def _within_saturation(law: ScheduledPID, plant: Plant) -> tuple[ScheduledPID, list[Compensated]]:
@@ -182,7 +198,9 @@ def _unsure(key: str, plant: Plant, content: Any) -> str:
     if cause.get("doubt"):
         return "the diagnosis is not sure of it"
     rivals = [own for name in cause.get("ties", ()) for own in name.split(" + ")]
-    other = [own for own in rivals if own.partition("@")[2] != key.partition("@")[2] or not _speed_alone(plant, own)]
+    late = key.partition("@")[0] in LATE and len(plant.outputs) == 1  # the loop awaits them all alike
+    alike = lambda own: own.partition("@")[2] == key.partition("@")[2] and _speed_alone(plant, own)  # noqa: E731
+    other = [own for own in rivals if not alike(own) and not (late and own.partition("@")[0] in LATE)]
     return f"the records cannot tell it from {other[0]}" if other else ""
 
 
@@ -246,7 +264,7 @@ def _moved(content: Any, path: Any) -> dict[str, Moved]:
 class _Feedforward:
     """A law and numbers that are added to what it feeds forward, in their units: of the rates and of the accelerations of the
     set-points that it follows (nu, nr each), and of every shape. shapes: curves whose largest value is 1, one for each command.
-    due: how long after m an output is to be there.
+    due: how long after m an output is to be there; dead: the dead time of commands in it.
     """
 
     base: ScheduledPID
@@ -256,6 +274,7 @@ class _Feedforward:
     numbers: np.ndarray = field("n")
     due: np.ndarray = field("nr", unit="s")
     shapes: tuple[Compensation, ...] = ()
+    dead: float = field("", unit="s", default=0.0)
 
     @property
     def law(self) -> ScheduledPID:
@@ -397,7 +416,7 @@ class _Job:
         with_it, without = (self._sizes(self.errors(given, p, each)) for each in (eta, np.where(own, self.plant.neutral, eta)))
         return 1.0 - float(np.min(without / with_it))
 
-    def against(self, key: str, given: _Feedforward, costs: float) -> _Feedforward | str:
+    def against(self, key: str, given: _Feedforward, costs: float, early: bool) -> _Feedforward | str:
         """The feedforward with what cancels an effect, of shapes nothing yet; or why there is none, in words. costs: see
         `costs`.
         """
@@ -405,7 +424,7 @@ class _Job:
         if kind not in (*AWAITED, *INVERTED) and not _speed_alone(self.plant, key):
             return "only what depends on a speed alone is, dead time, play, dead zones and slow sensors"
         if kind in AWAITED:  # whatever it costs: the feedforward was fitted beside it
-            return self._awaiting(key, given)
+            return self._awaiting(key, given, early)
         if not costs >= 1.0 - WORTH:
             return f"without it errors of set-points would be {max(costs, 0.0):.1%} less"
         if kind in INVERTED:
@@ -421,21 +440,24 @@ class _Job:
         curves = (Curve(name, v - rest, force) for name in given.base.actuated)
         return given.with_shapes([Compensation(c.input, key, position, motion, c, over) for c in curves])
 
-    def _awaiting(self, key: str, given: _Feedforward) -> _Feedforward | str:
-        """The loop awaits what an effect makes of m; of a dead time all outputs are as late."""
+    def _awaiting(self, key: str, given: _Feedforward, early: bool) -> _Feedforward | str:
+        """The loop awaits what an effect makes of m; of the longest dead time all outputs are as late."""
         sizes, law, (effect, _, place) = _numbers(self.plant, key, self.found[1][0]), given.base, key.partition("@")
         if place in self.plant.input_names:
-            later = np.maximum(sizes.time - given.due, 0.0)
-            changed, due = {"late": law.late + later}, given.due + later
+            if law.paths.any() and not early:
+                return f"outputs would follow {sizes.time:.4g} s after their paths: with --early paths are given that much early"
+            later = max(sizes.time - given.dead, 0.0)
+            changed, due, dead = {"late": law.late + later}, given.due + later, given.dead + later
         else:
             own, due = np.array([name == place for name in law.measured[: len(law.references)]], dtype=float), given.due
+            dead = given.dead
             if not own.any():
                 return f"the law does not control {place}"
             changed = {"play": law.play + own * sizes.half_width} if effect == "backlash" else {}
             changed |= {} if changed else {"late": law.late + own * sizes.time * 2.0 * getattr(sizes, "damping", 0.5)}
         if (late := changed.get("late", law.late)).max() >= LONGEST_LATE * law.dt:
             return f"{late.max():.4g} s is more than {LONGEST_LATE} samples"
-        return replace(given, base=replace(law, **changed), due=due)
+        return replace(given, base=replace(law, **changed), due=due, dead=dead)
 
     def _inverting(self, key: str, given: _Feedforward) -> _Feedforward | str:
         """The command before an effect, whose side the noise of the law does not change."""

@@ -11,7 +11,7 @@ PACKAGES = ("workbench", "controllers", "plants", "studies")
 NAMES = (
     "web-winding", "winding-models", "welding-robot", "emps", "winding-records", "hidden-effects", "strangers", "real-records",
     "benchmarks", "controller-comparison", "robust-winding", "pid-bandwidth", "sampling-time", "noise-level", "record-count",
-    "detection-rate",
+    "detection-rate", "compensation",
 )  # fmt: skip
 
 #: What imports a study, by its name.

@@ -53,6 +53,8 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
         raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
     if kind in ("mpc", "nmpc") and options.diagnosis:
         raise InputError("--diagnosis is for PIDs", mend=f"design {kind} without it, or scheduled-pid with it")
+    if options.early and not options.diagnosis:
+        raise InputError("--early is for what a --diagnosis has named", mend="leave it out, or give --diagnosis")
     if kind in ("mpc", "nmpc"):
         return _design_planning(options, kind, model if isinstance(model, LPVModel) else load_model(options.model), say, progress)
     return _design_pid(options, kind, model, files, say, progress)
@@ -82,7 +84,8 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
     found, trial = wanted.calmed(found, whole, chosen.plant if chosen else None)
     became: tuple[Compensated, ...] = ()
     if options.diagnosis and chosen and not trial.lost:
-        law, became = compensated(found.law, chosen.plant, read_json(options.diagnosis), options.diagnosis, progress)
+        content, early = read_json(options.diagnosis), options.early
+        law, became = compensated(found.law, chosen.plant, content, options.diagnosis, progress, early=early)
         found, trial = replace(found, law=law), tried(law, whole, chosen.plant, steps=wanted.steps)
     code = _told(options, trial, model, say)
     bounds, models = found.bounds, [model, *(load_model(path) for path in options.robust_to)]

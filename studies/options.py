@@ -224,6 +224,10 @@ def _design(sub: argparse.ArgumentParser) -> None:
         "where that pays (default of --plant: the extended.json beside it)",
     )  # fmt: skip
     sub.add_argument(
+        "--early", action="store_true", help="with --diagnosis: paths are given as much early as the design says, so that a dead "
+        "time need not be fought for",
+    )  # fmt: skip
+    sub.add_argument(
         "--solver",
         default="real-time-iteration",
         metavar="S",

@@ -133,15 +133,17 @@ def test_dead_time_play_dead_zone_and_a_slow_sensor_are_cancelled(key):
         true = low * (high / low) ** random.uniform()
         found = true * (1.0 + 0.1 * random.uniform(-1.0, 1.0))
         law, content = designed(**options), named(effect, place, **{name: found})
-        better, said = compensated(law, replace(noisy, effects={f"{effect}@{place}": {name: found}}), content)
+        plant = replace(noisy, effects={f"{effect}@{place}": {name: found}})
+        better, said = compensated(law, plant, content, early=bool(seed == 0))
         assert of(said, f"{effect}@{place}").done, of(said, f"{effect}@{place}").sentence
-        fed = replace(better, late=0.0, play=0.0, inverses=())
+        due = next((float(own.late[0]) for own in said if own.effect == "lateness"), 0.0)
+        assert (due > 0.0) == (seed == 0 or key == "delay")
+        own = min(due, 1.5 * DT) * (seed == 0)
+        fed = replace(better, late=own, play=0.0, inverses=())
         M, Fv = 95.0 * (1.0 + 0.01 * random.uniform(-1.0, 1.0)), 200.0 * (1.0 + 0.03 * random.uniform(-1.0, 1.0))
-        due = better.late[0] if key == "delay" else 0.0
-        assert (due > 0.0) == ("give a path that much early" in of(said, f"{effect}@{place}").sentence)
         after = error(better, r := path(seed), M, Fv, **{key: true}, due=due)
         assert error(law, r, M, Fv, **{key: true}) > 3.0 * after
-        assert error(fed, r, M, Fv, **{key: true}) > 1.3 * after
+        assert error(fed, r, M, Fv, **{key: true}, due=own) > 1.3 * after
 
 
 @pytest.mark.slow
@@ -150,12 +152,15 @@ def test_friction_before_a_dead_time_are_both_cancelled():
     content = named("coulomb", **rubs)
     content["causes"] += named("input-delay", "F", **sizes)["causes"]
     plant = replace(AXIS, effects={"coulomb@slide": rubs, "input-delay@F": sizes}, noise={"q": 2e-6})
-    better, said = compensated(law, plant, content)
-    assert [own.effect for own in said if own.done][-2:] == ["coulomb@slide", "input-delay@F"]
+    better, said = compensated(law, plant, content, early=True)
+    assert [own.effect for own in said if own.done][-3:] == ["coulomb@slide", "input-delay@F", "lateness"]
+    assert said[-1].late == pytest.approx([1.5 * DT + 0.009])
     true = {"friction": lambda v: 23.5 * np.tanh(v / 1e-3), "delay": 0.0085}
     after = error(better, r := path(3), 95.5, 204.0, **true, due=better.late[0])
     assert error(law, r, 95.5, 204.0, **true) > 8.0 * after
-    assert error(replace(better, late=0.0), r, 95.5, 204.0, **true) > 1.5 * after
+    assert error(replace(better, late=1.5 * DT), r, 95.5, 204.0, **true, due=1.5 * DT) > 1.5 * after
+    _, said = compensated(law, plant, content)
+    assert "with --early paths are given that much early" in of(said, "input-delay@F").sentence
 
 
 @pytest.mark.slow

@@ -11,10 +11,10 @@ from workbench.diagnosis.free_run import simulated
 from workbench.diagnosis.lags import FAR
 from workbench.diagnosis.policy import ALPHA, LAWS, LEFT_OVER, LONG_RUN, MATTERS, MATTERS_ALONE, PRACTICAL, UNTOLD
 from workbench.diagnosis.referee import Judge, harms, helps, worse
-from workbench.diagnosis.refit import Model
+from workbench.diagnosis.refit import FEW_SENSORS, Model
 from workbench.diagnosis.remainder import Left, label, remainder
 from workbench.diagnosis.screen import Signature
-from workbench.diagnosis.search import Lesser, Local, Search, Step, Unresolved, facing, kept
+from workbench.diagnosis.search import PLAY, Lesser, Local, Search, Step, Unresolved, facing, kept
 from workbench.diagnosis.sizes import sizes_of
 from workbench.records import record
 
@@ -107,6 +107,8 @@ def searched(base: Model, most: float, progress: Callable[[str], None]) -> Found
     plant = base.predictor.plant
     search = Search([slot.key for slot in plant.slots], np.zeros(len(plant.slots)), most, progress)
     base, steps = search.path(base)
+    if played := _followed_play(steps[-1].after if steps else base):
+        base, steps = search.path(base, steps, played)
     lesser = search.lesser
     if len(steps) > 1 or search.stuck:
         progress("dropping and swapping")
@@ -114,6 +116,19 @@ def searched(base: Model, most: float, progress: Callable[[str], None]) -> Found
     progress("what is left")
     left = remainder(steps[-1].after if steps else base)
     return Found(base, tuple(steps), tuple(left), tuple(search.tested), lesser, most, search.local, unresolved=search.unresolved)
+
+
+def _followed_play(model: Model) -> list[str]:
+    """Plays of sensors in which something is left that may be theirs.
+
+    Where there are few sensors a filter takes what play does for pushes and follows it: no score one step ahead shows it.
+    """
+    plant, measured = model.predictor.plant, model.predictor.measured
+    if model.predictor.simulated or np.sum(measured) > FEW_SENSORS:
+        return []
+    left = {x.channel for x in remainder(model) if x.p_family < ALPHA}
+    keys = {slot.key for slot in plant.slots if slot.effect.id == PLAY and label(("sensor", slot.place)) in left}
+    return sorted(keys - set(model.keys))
 
 
 def tells(local: Local | None, again: Found) -> bool:

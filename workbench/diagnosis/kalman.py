@@ -1,22 +1,25 @@
 """The Kalman filter along a given trajectory, compiled: gains, whitening and likelihood for linear time-varying models.
 
-S = H P H' + R,  K = P H' S^-1,  P+ = F (P - K S K') F' + G Q G'
+S = H P H' + R,  K = P H' S^-1,  P+ = F (P - K S K') F' + G Q G' + diag(added)
 """
 
 import numpy as np
 from numba import njit
 
-from workbench.records import record
+from workbench.records import field, record
 
 
 @record
 class Linearization:
-    """One record: F (N, n, n), G (N, n, nw), H (N, ny, n); present (N, ny) tells which outputs were measured."""
+    """One record: F (N, n, n), G (N, n, nw), H (N, ny, n); present (N, ny) tells which outputs were measured; added (N, n):
+    variances that the states take up from sample to sample whatever the pushes, none where it is empty.
+    """
 
     F: np.ndarray
     G: np.ndarray
     H: np.ndarray
     present: np.ndarray
+    added: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @record
@@ -73,7 +76,8 @@ def _run(line: Linearization, process, measurement, K, W, gain, innovations, e, 
     F, G, H, present, gain, old = (
         np.ascontiguousarray(a) for a in (line.F, line.G, line.H, line.present, gain, innovations)
     )  # fmt: skip
-    return _filter(F, G, H, present, process**2, measurement**2, K, W, gain, old, e, d, A)
+    added = np.ascontiguousarray(line.added)
+    return _filter(F, G, H, present, added, process**2, measurement**2, K, W, gain, old, e, d, A)
 
 
 def response(line: Linearization, gain: np.ndarray, push: np.ndarray, shift: np.ndarray | None = None) -> np.ndarray:
@@ -113,11 +117,11 @@ def _entries(M):
 
 
 @njit(
-    "UniTuple(f8, 2)(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[::1], f8[::1], f8[:, :, ::1], f8[:, :, ::1],"
-    "f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
+    "UniTuple(f8, 2)(f8[:, :, ::1], f8[:, :, ::1], f8[:, :, ::1], b1[:, ::1], f8[:, ::1], f8[::1], f8[::1], f8[:, :, ::1],"
+    "f8[:, :, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1])",
     cache=True, error_model="numpy",
 )  # fmt: skip
-def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
+def _filter(F, G, H, present, added, q, r, K, W, old, told, e, last, columns):
     N, ny, n = H.shape
     (f_count, f_index), (g_count, g_index), (h_count, h_index) = _entries(F), _entries(G), _entries(H)
     P, B = np.zeros((n, n)), np.zeros((n, n))
@@ -228,6 +232,8 @@ def _filter(F, G, H, present, q, r, K, W, old, told, e, last, columns):
                     m = g_index[i, x]
                     total += G[k, i, m] * q[m] * G[k, j, m]
                 P[i, j] = P[j, i] = total
+        for i in range(added.shape[1]):
+            P[i, i] += added[k, i]
     return cost, log_det
 
 

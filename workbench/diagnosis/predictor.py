@@ -396,16 +396,19 @@ class Predictor:
         F = change[: len(active)].transpose(1, 2, 0) / (STEP * size[active])
         G = change[len(active) :].transpose(1, 2, 0) / pushed
         H = self._sensed(r, corrected, eta[0], active, STEP * size)
-        self._loosen(i, active, size, corrected, flow[0], F, G)
-        last = [np.concatenate([M, M[-1:]]) for M in (F, G)]
-        line = Linearization(last[0], last[1], H, np.isfinite(r.seen))
+        added = self._loosen(i, active, size, corrected, flow[0], F, G)
+        F, G, added = (np.concatenate([M, M[-1:]]) for M in (F, G, added))
+        line = Linearization(F, G, H, np.isfinite(r.seen), added if added.any() else np.empty((0, 0)))
         return _coloured(line, len(self.noise.drift), len(self.noise.coloured), self.noise.decays(plant.dt))
 
-    def _loosen(self, i, active, size, corrected, flow, F, G) -> None:
-        """Where the play of a sensor stands, over a sample: dm+ = c dz+ + (1 - c) dm, with the chance c that it is taken up.
+    def _loosen(self, i, active, size, corrected, flow, F, G) -> np.ndarray:
+        """Where the play of a sensor stands, over a sample: dm+ = c dz+ + (1 - c) dm, with the chance c that it is taken up; and
+        variances (N - 1, n) that this adds, c (1 - c) var(dz+ - dm): it is one or the other, and not in between.
 
-        Slopes of 0 or 1 would be too sure: at a reversal the play would stand where noise had reached, and be fitted wider.
+        Slopes of 0 or 1 would be too sure: at a reversal the play would stand where noise had reached, and be fitted wider. A
+        filter that took a slope of c for granted would correct by 1 / c, and run away where the slope is 1.
         """
+        found = np.zeros((len(F), len(active)))
         plant, r, eta, memory = self.plant, self.records[i], self.point.eta[i], [(name, e.id) for name, e in self.plant.memories]
         for slot, half_width in zip(plant.slots, eta, strict=True):
             if slot.effect.id != PLAY or not half_width:
@@ -420,6 +423,8 @@ class Predictor:
             taken_up = ndtr(beyond / np.sqrt(spread))[:, None]
             F[:, row], G[:, row] = taken_up * np.einsum("ki,kij->kj", H, F), taken_up * np.einsum("ki,kij->kj", H, G)
             F[:, row, row] = 1.0 - taken_up[:, 0]
+            found[:, row] = taken_up[:, 0] * (1.0 - taken_up[:, 0]) * spread
+        return found
 
     def moved(self, i: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """What effects `after` (ne) in place of `before` do in every sample of record i to what the filter carries, (N, n)."""
@@ -463,7 +468,8 @@ def _coloured(line: Linearization, nd: int, nc: int, decays: np.ndarray) -> Line
     F[:, :n, :n], F[:, :n, n : n + nd] = line.F, line.G[:, :, :nd]
     G[:, :n, :nw], G[:, n:, nw:] = line.G, np.eye(more)
     H[:, :, :n], H[:, :, n + nd :] = line.H, np.eye(ny)[:, :nc]
-    return with_decays(Linearization(F, G, H, line.present), decays)
+    added = np.pad(line.added, ((0, 0), (0, more))) if line.added.size else line.added
+    return with_decays(Linearization(F, G, H, line.present, added), decays)
 
 
 def with_decays(line: Linearization, decays: np.ndarray) -> Linearization:

@@ -25,6 +25,8 @@ FAN = (1.0, 0.5, 1.5, 0.75, 1.25, 0.25, 2.0)
 PHASES, AMPLITUDES = 12, (1.0, 2.0, 4.0)  # of a ripple in each record; of its one-step estimate
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 FEW_SENSORS = 2
+PLAY = "backlash@"  # of the sensor whose name follows
+PLAYS = tuple(np.geomspace(2.0, 400.0, 20))  # of the noise: play that is tried with gains and noise levels of its own
 LEFT = np.sqrt(3.0)  # standard deviations of its prior at which a parameter leaves its tolerance
 LEVELS = (1.0, 2.0, 0.5)  # of a special case's level, from which a more general law begins
 FAR_OFF = 10.0  # deviance a sample from which a start leads nowhere
@@ -223,10 +225,11 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
     if not fitted.deviance < model.deviance:  # from an estimate that is far off; nothing of the effect does no harm
         none = fit(unknowns.clip(np.concatenate([model.fit.z, np.zeros(len(best.z) - len(model.fit.z))])))
         fitted, best = (none, none.fit) if none.deviance < fitted.deviance else (fitted, best)
-    if not is_late(model.predictor, score.key):
-        return fitted, best
-    late = _from_late(model, best, sizes)
-    return (late, late.fit) if late and late.bic < fitted.bic else (fitted, best)
+    if is_late(model.predictor, score.key):
+        other = _from_late(model, best, sizes)
+    else:
+        other = _from_play(model, best, sizes) if score.key.startswith(PLAY) else None
+    return (other, other.fit) if other and other.bic < fitted.bic else (fitted, best)
 
 
 def from_special(special: Model, model: Model, score: Score, sizes: np.ndarray) -> Model:
@@ -295,6 +298,26 @@ def _from_times(model: Model, start: Fit, head: np.ndarray, sizes: np.ndarray) -
         fitted = Model(predictor, gauss_newton(predictor, unknowns, z, sizes, rounds=2, chords=4, enough=0.5))
         best = min((best or fitted, fitted), key=lambda m: m.deviance)
     return best
+
+
+def _from_play(model: Model, start: Fit, sizes: np.ndarray) -> Model:
+    """A fit of the play of a sensor from the likeliest of PLAYS, each with gains and noise levels of its own.
+
+    Noise levels of the model without it have taken it for pushes: at these a play far above the noise is no likelier than none.
+    """
+    unknowns = start.unknowns
+    at, place = unknowns.places[-1].start, unknowns.terms[-1].key.partition("@")[2]
+    noise = model.predictor.noise.measurement[model.predictor.plant.output_names.index(place)]
+    best: Model | None = None
+    for play in PLAYS:
+        z = start.z.copy()
+        z[:at], z[at] = model.fit.z, play * noise
+        predictor = (best.predictor if best else model.predictor).regained(unknowns.point(z))
+        predictor = predictor.with_noise(tuned(predictor, share=0.5))
+        tried = Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0])
+        best = min((best or tried, tried), key=lambda m: m.deviance)
+    assert best is not None
+    return _at_own_noise(best.predictor, best.fit, sizes)
 
 
 def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:

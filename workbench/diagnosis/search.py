@@ -113,18 +113,20 @@ class Search:
         self.unresolved: Unresolved | None = None
         self.stuck = False  # whether a cause was chosen by a fit that was stuck
 
-    def path(self, base: Model) -> tuple[Model, list[Step]]:
-        """One effect after the other, as long as something is found; and the base.
+    def path(self, base: Model, steps: Sequence[Step] = (), hidden: Sequence[str] = ()) -> tuple[Model, list[Step]]:
+        """One effect after the other, as long as something is found; and the base. steps: where it goes on. hidden: effects that
+        are tried first, whatever their scores.
 
         A model that is less likely than the one with an effect, freed of it again, was stuck: the effect has led its parameters
         out, and counts for what it gains beside the better model.
         """
-        steps: list[Step] = []
-        freed = 0
+        steps, freed = list(steps), 0
         while len(steps) < MOST:
             model = steps[-1].after if steps else base
             self.progress(f"screening beside {', '.join(model.keys)}" if steps else "screening")
             found = self.screened(model)
+            if hidden:
+                found, hidden = [replace(s, p_family=0.0) for s in found if s.key in hidden], ()
             self.lesser.met.append(model)
             if not found or (found[0].p_family > ALPHA and model.farthest <= LEFT):
                 break

@@ -147,4 +147,4 @@ def _piece(predictor: Predictor, i: int) -> tuple[Linearization, np.ndarray, np.
     F, G, H, gain = (
         np.ascontiguousarray(a) for a in (line.F[:, kept][:, :, kept], line.G[:, kept], line.H[:, :, kept], gain[:, kept])
     )
-    return Linearization(F, G, H, line.present), gain, e
+    return Linearization(F, G, H, line.present, line.added[:, kept] if line.added.size else line.added), gain, e

@@ -13,16 +13,15 @@ N, n, ny, nw = 30, 3, 2, 2
 Q, R = np.array([0.3, 0.05]), np.array([0.2, 0.7])
 
 
-def varying(seed=0, missing=True) -> Linearization:
+def varying(seed=0, missing=True, added=False) -> Linearization:
     """A system that differs from sample to sample; some outputs, and once all of them, are not measured."""
     random = np.random.default_rng(seed)
     present = np.ones((N, ny), dtype=bool)
     if missing:
         present[random.random((N, ny)) < 0.2] = False
         present[11] = False
-    return Linearization(
-        0.6 * random.standard_normal((N, n, n)), random.standard_normal((N, n, nw)), random.standard_normal((N, ny, n)), present
-    )
+    F, G, H = (random.standard_normal(shape) for shape in ((N, n, n), (N, n, nw), (N, ny, n)))
+    return Linearization(0.6 * F, G, H, present, random.exponential(0.1, (N, n)) if added else np.empty((0, 0)))
 
 
 def textbook(line: Linearization, q, r):
@@ -38,6 +37,7 @@ def textbook(line: Linearization, q, r):
         S.append(cov)
         log_det += np.log(np.linalg.det(cov)) if seen.any() else 0.0
         P = line.F[k] @ (P - gain[:, seen] @ cov @ gain[:, seen].T) @ line.F[k].T + line.G[k] @ np.diag(q**2) @ line.G[k].T
+        P += np.diag(line.added[k]) if line.added.size else 0.0
     return np.array(K), S, log_det
 
 
@@ -61,8 +61,9 @@ def covariance_of_outputs(line: Linearization, q, r):
     return wide @ np.diag(np.tile(q**2, N)) @ wide.T + np.diag(np.tile(r**2, N))
 
 
-def test_gains_and_log_determinant_are_those_of_the_textbook_where_outputs_are_missing():
-    line = varying()
+@pytest.mark.parametrize("added", [False, True])
+def test_gains_and_log_determinant_are_those_of_the_textbook_where_outputs_are_missing(added):
+    line = varying(added=added)
     K, _, log_det = textbook(line, Q, R)
     done = gains(line, Q, R)
     np.testing.assert_allclose(done.gain, K, rtol=1e-9, atol=1e-12)
@@ -86,6 +87,20 @@ def test_the_gain_of_a_constant_system_settles_at_that_of_the_riccati_equation()
     line = Linearization(*(np.repeat(M[None], long, axis=0) for M in (F, G, H)), np.ones((long, ny), dtype=bool))
     L, _, _ = control.dlqe(F, G, H, np.diag(Q**2), np.diag(R**2))  # of x+ = F x + L (y - H x)
     np.testing.assert_allclose(F @ gains(line, Q, R).gain[-1], L, rtol=1e-8, atol=1e-10)
+
+
+def test_variances_that_are_added_are_those_of_pushes_of_their_own():
+    """To slopes and deviance alike: they are constant, whatever the pushes are."""
+    line, random = varying(7, added=True), np.random.default_rng(8)
+    y = random.standard_normal((N, ny))
+    pushes = np.concatenate([line.G, np.array([np.diag(np.sqrt(own)) for own in line.added])], axis=2)
+    wide = Linearization(line.F, pushes, line.H, line.present)
+    q, old = np.append(Q, np.ones(n)), gains(wide, np.append(2.0 * Q, np.ones(n)), R)
+    e = innovations(line, old.gain, y)
+    one, other = likelihood(line, Q, R, old.gain, e, fading=1), likelihood(wide, q, R, old.gain, e, fading=1)
+    assert one.deviance == pytest.approx(other.deviance, rel=1e-12)
+    for mine, theirs in ((one.process, other.process[:nw]), (one.measurement, other.measurement), (one.decay, other.decay)):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-9)
 
 
 @pytest.mark.parametrize("missing", [False, True])

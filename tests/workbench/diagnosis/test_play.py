@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import workbench as wb
+from plants import POSITIONING_AXIS
+from tests.axes import case as axes
 from workbench import Channel, Parameter, Plant
 from workbench.data import Dataset, Experiment
 from workbench.diagnosis.predictor import predictor
@@ -52,6 +54,35 @@ def test_errors_keep_no_trace_of_the_play_and_its_size_is_the_likeliest(seed):
         along.append(float(np.corrcoef(white[1:, 0], white[:-1, 0])[0, 1]))
     assert abs(shares[int(np.argmin(deviances))] - 1.0) <= 0.08
     assert abs(along[12]) < 0.12  # 0.23 to 0.32 where the filter does not know where the play stands
+
+
+@pytest.mark.parametrize("pushes", [1.0, 10.0, 100.0])
+def test_a_filter_that_believes_in_larger_pushes_does_not_run_away(pushes):
+    """It corrected by 1 / c where the play was taken up with a chance c, and where it was, the errors grew sample by sample."""
+    made = predictor(LAG, Dataset((played(1),)), drift=False)
+    made = made.with_noise(replace(made.noise, process=np.array([pushes * PUSH]), measurement=np.array([0.1 * NOISE])))
+    eta = made.point.eta.copy()
+    eta[:, [slot.key for slot in made.plant.slots].index("backlash@y")] = PLAY
+    for _ in range(3):
+        made = made.regained(replace(made.point, eta=eta), rounds=1)
+        error = made.errors(0, made.point.p[None], made.point.eta, made.point.start, white=False)
+        assert np.abs(error).max() < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 6, 10, 14])
+def test_play_that_a_filter_follows_is_named(seed):
+    """One encoder, hardly any noise: the filter took what play does for pushes, nothing showed, and the verdict was unknown."""
+    case = axes.draw(seed)
+    assert case.kind == "play"
+    made = enumerate(x.T for x in case.records)
+    *own, held = (Experiment.from_arrays(f"r{k}", axes.DT, inputs={"F": F}, outputs={"q": q}) for k, (F, q, _) in made)
+    found = wb.diagnose(POSITIONING_AXIS.sampled(axes.DT), Dataset(tuple(own)), Dataset((held,)))
+    (cause,) = found.causes
+    assert (cause.effect, cause.place) == ("backlash", "q")
+    size, true = cause.parameters["half_width"], case.axis.hidden["play"]
+    assert abs(size.value / true - 1.0) < 0.02
+    assert size.low - 0.002 * true <= true <= size.high + 0.002 * true
 
 
 @pytest.mark.slow

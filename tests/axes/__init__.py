@@ -1,0 +1,1 @@
+"""Axes with an effect hidden in them: what a compensation must gain on."""
