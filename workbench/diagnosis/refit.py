@@ -26,6 +26,7 @@ PHASES, AMPLITUDES = 12, (1.0, 2.0, 4.0)  # of a ripple in each record; of its o
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 FEW_SENSORS = 2
 PLAY = "backlash@"  # of the sensor whose name follows
+VALLEYS = 3  # of the likelihood over play, that are descended into
 PLAYS = tuple(np.geomspace(2.0, 400.0, 20))  # of the noise: play that is tried with gains and noise levels of its own
 LEFT = np.sqrt(3.0)  # standard deviations of its prior at which a parameter leaves its tolerance
 LEVELS = (1.0, 2.0, 0.5)  # of a special case's level, from which a more general law begins
@@ -228,7 +229,8 @@ def _refit(model: Model, score: Score, sizes: np.ndarray) -> tuple[Model, Fit]:
     if is_late(model.predictor, score.key):
         other = _from_late(model, best, sizes)
     else:
-        other = _from_play(model, best, sizes) if score.key.startswith(PLAY) else None
+        few = np.sum(model.predictor.measured) <= FEW_SENSORS
+        other = _from_play(model, best, sizes) if few and score.key.startswith(PLAY) else None
     return (other, other.fit) if other and other.bic < fitted.bic else (fitted, best)
 
 
@@ -308,16 +310,19 @@ def _from_play(model: Model, start: Fit, sizes: np.ndarray) -> Model:
     unknowns = start.unknowns
     at, place = unknowns.places[-1].start, unknowns.terms[-1].key.partition("@")[2]
     noise = model.predictor.noise.measurement[model.predictor.plant.output_names.index(place)]
-    best: Model | None = None
+    tried: list[Model] = []
     for play in PLAYS:
         z = start.z.copy()
         z[:at], z[at] = model.fit.z, play * noise
-        predictor = (best.predictor if best else model.predictor).regained(unknowns.point(z))
+        predictor = (tried[-1] if tried else model).predictor.regained(unknowns.point(z))
         predictor = predictor.with_noise(tuned(predictor, share=0.5))
-        tried = Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0])
-        best = min((best or tried, tried), key=lambda m: m.deviance)
-    assert best is not None
-    return _at_own_noise(best.predictor, best.fit, sizes)
+        tried.append(Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0]))
+    cost = [np.inf, *(m.deviance for m in tried), np.inf]
+    valleys = [m for m, left, own, right in zip(tried, cost, cost[1:], cost[2:], strict=False) if own <= min(left, right)]
+    deepest = sorted(valleys, key=lambda m: m.deviance)[:VALLEYS]
+    for _ in range(2):  # a filter whose noise levels know of the play shows it better
+        deepest = [_at_own_noise(m.predictor, m.fit, sizes) for m in deepest]
+    return min(deepest, key=lambda m: m.bic, default=model)
 
 
 def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:

@@ -70,7 +70,7 @@ def test_a_filter_that_believes_in_larger_pushes_does_not_run_away(pushes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 6, 10, 14])
+@pytest.mark.parametrize("seed", [2, 6, 10, 5_000_014])
 def test_play_that_a_filter_follows_is_named(seed):
     """One encoder, hardly any noise: the filter took what play does for pushes, nothing showed, and the verdict was unknown."""
     case = axes.draw(seed)
