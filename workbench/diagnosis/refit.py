@@ -26,7 +26,7 @@ PHASES, AMPLITUDES = 12, (1.0, 2.0, 4.0)  # of a ripple in each record; of its o
 LATE = (1.0, 3.0, 10.0, 30.0)  # samples: times of a slow sensor that are tried with gains of their own
 FEW_SENSORS = 2
 PLAY = "backlash@"  # of the sensor whose name follows
-VALLEYS = 3  # of the likelihood over play, that are descended into
+VALLEYS, DESCENTS = 3, 6  # of the likelihood over play, that are descended into; steps of that
 PLAYS = tuple(np.geomspace(2.0, 400.0, 20))  # of the noise: play that is tried with gains and noise levels of its own
 LEFT = np.sqrt(3.0)  # standard deviations of its prior at which a parameter leaves its tolerance
 LEVELS = (1.0, 2.0, 0.5)  # of a special case's level, from which a more general law begins
@@ -305,24 +305,36 @@ def _from_times(model: Model, start: Fit, head: np.ndarray, sizes: np.ndarray) -
 def _from_play(model: Model, start: Fit, sizes: np.ndarray) -> Model:
     """A fit of the play of a sensor from the likeliest of PLAYS, each with gains and noise levels of its own.
 
-    Noise levels of the model without it have taken it for pushes: at these a play far above the noise is no likelier than none.
+    Noise levels of the model without it have taken it for pushes, and for a colour of the readings: at these a play far above the
+    noise is no likelier than none.
     """
     unknowns = start.unknowns
     at, place = unknowns.places[-1].start, unknowns.terms[-1].key.partition("@")[2]
-    noise = model.predictor.noise.measurement[model.predictor.plant.output_names.index(place)]
+    j, levels = model.predictor.plant.output_names.index(place), model.predictor.noise
+    white = np.hypot(levels.measurement, levels.coloured) if len(levels.coloured) else levels.measurement
+    bare, noise = replace(model.predictor, expected=replace(model.predictor.expected, coloured=np.empty(0))), white[j]
+    bare = bare.regained(model.fit.point, replace(levels, measurement=white, coloured=np.empty(0)))
     tried: list[Model] = []
     for play in PLAYS:
         z = start.z.copy()
         z[:at], z[at] = model.fit.z, play * noise
-        predictor = (tried[-1] if tried else model).predictor.regained(unknowns.point(z))
+        predictor = (tried[-1].predictor if tried else bare).regained(unknowns.point(z))
         predictor = predictor.with_noise(tuned(predictor, share=0.5))
         tried.append(Model(predictor, _evaluate(predictor, unknowns, [z], start.jacobian)[0]))
     cost = [np.inf, *(m.deviance for m in tried), np.inf]
     valleys = [m for m, left, own, right in zip(tried, cost, cost[1:], cost[2:], strict=False) if own <= min(left, right)]
     deepest = sorted(valleys, key=lambda m: m.deviance)[:VALLEYS]
-    for _ in range(2):  # a filter whose noise levels know of the play shows it better
-        deepest = [_at_own_noise(m.predictor, m.fit, sizes) for m in deepest]
-    return min(deepest, key=lambda m: m.bic, default=model)
+    return min((_descended(m, sizes) for m in deepest), key=lambda m: m.bic, default=model)
+
+
+def _descended(model: Model, sizes: np.ndarray) -> Model:
+    """The model at noise levels of its own, again and again: a filter whose levels know of an effect shows it better."""
+    for _ in range(DESCENTS):
+        better = _at_own_noise(model.predictor, model.fit, sizes)
+        if not better.bic < model.bic - CONVERGED:
+            return model
+        model = better
+    return model
 
 
 def _at_own_noise(predictor: Predictor, at: Fit, sizes: np.ndarray) -> Model:
