@@ -137,9 +137,15 @@ def compensated(
     units, commands = job.units(law, followed)
     best = _Feedforward(law, followed, commands, units, np.zeros(len(units)), np.zeros(len(followed)))
     given = errors = job.drawn(best)
-    for begun in (best, *([_differenced(best)] if early and law.paths.any() else [])):
+    early = early and bool(law.paths.any())
+
+    def taken(begun: _Feedforward) -> tuple[_Feedforward, np.ndarray]:
         after = job.drawn(tuned := job.tuned(begun))
-        best, errors = (tuned, after) if _pays(given, errors, after) else (best, errors)
+        return (tuned, after) if _pays(given, errors, after) else (best, errors)
+
+    best, errors = taken(best)
+    if early:
+        best, errors = taken(_differenced(best))
     if errors is not given:
         said = f"what is fed forward of rates is fitted to {plant.name}: errors of set-points are less {_less(given, errors)}"
         told.append(Compensated("feedforward", True, said, given, errors))
@@ -153,15 +159,17 @@ def compensated(
             continue
         tried = job.tuned(added)
         after = job.drawn(tried)
-        done = _pays(given, errors, after)
-        if done and len(tried.base.inverses) > len(best.base.inverses):
+        shown, done = (errors, after), _pays(given, errors, after)
+        if done and tried.base.inverses != best.base.inverses:
             under = job.drawn(best, NOISY), job.drawn(tried, NOISY)
             done = bool(np.all(_ratio(*under) <= WORSE))
-            errors, after = (errors, after) if done else under
-        said = f"{key} is cancelled: errors of set-points are less {_less(errors, after)}, on {len(after)} machines drawn within "
-        said = f"{said}its intervals" if done else f"{key} is not cancelled: {_lost(given, errors, after)}"
-        told.append(Compensated(key, done, said, errors, after))
+            shown = shown if done else under
+        said = f"{key} is cancelled: errors of set-points are less {_less(*shown)}, on {len(after)} machines drawn within "
+        said = f"{said}its intervals" if done else f"{key} is not cancelled: {_lost(given, *shown)}"
+        told.append(Compensated(key, done, said, *shown))
         best, errors = (tried, after) if done else (best, errors)
+    if early and (best.due == best.dead).all():  # what is late in differences shows where little else is left
+        best, errors = taken(_differenced(best))
     if best.due.any():
         each = ", ".join(f"{name} {late:.4g} s" for name, late in zip(law.measured, best.due.tolist(), strict=False) if late)
         said = f"outputs follow after their set-points: {each}; give paths that much early"

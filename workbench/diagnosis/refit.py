@@ -329,10 +329,11 @@ def _from_play(model: Model, start: Fit, sizes: np.ndarray) -> Model:
 
 def _descended(model: Model, sizes: np.ndarray) -> Model:
     """The model at noise levels of its own, again and again: a filter whose levels know of an effect shows it better."""
+    model = _at_own_noise(model.predictor, model.fit, sizes)
     for _ in range(DESCENTS):
         better = _at_own_noise(model.predictor, model.fit, sizes)
         if not better.bic < model.bic - CONVERGED:
-            return model
+            break
         model = better
     return model
 
