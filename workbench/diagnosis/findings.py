@@ -123,12 +123,10 @@ def _followed_play(model: Model) -> list[str]:
 
     Where there are few sensors a filter takes what play does for pushes and follows it: no score one step ahead shows it.
     """
-    plant, measured = model.predictor.plant, model.predictor.measured
-    if model.predictor.simulated or np.sum(measured) > FEW_SENSORS:
-        return []
-    left = {x.channel for x in remainder(model) if x.p_family < ALPHA}
-    keys = {slot.key for slot in plant.slots if slot.effect.id == PLAY and label(("sensor", slot.place)) in left}
-    return sorted(keys - set(model.keys))
+    left, predictor = {x.channel for x in remainder(model) if x.p_family < ALPHA}, model.predictor
+    places = {slot.key: label(("sensor", slot.place)) for slot in predictor.plant.slots if slot.effect.id == PLAY}
+    keys = [key for key, place in places.items() if place in left and key not in model.keys]
+    return keys if keys and not predictor.simulated and np.sum(predictor.measured) <= FEW_SENSORS else []
 
 
 def tells(local: Local | None, again: Found) -> bool:
