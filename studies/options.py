@@ -315,7 +315,7 @@ def _study(sub: argparse.ArgumentParser) -> None:
         "--cases",
         type=_positive,
         metavar="M",
-        help="hidden-effects, strangers: cases (default 600, 400); controller-comparison: seeds (20)",
+        help="hidden-effects, strangers, compensation: cases (default 600, 400, 400); controller-comparison: seeds (20)",
     )
     sub.add_argument(
         "--jobs",
