@@ -205,7 +205,12 @@ class ScheduledPID:
         something else.
         """
         moved = self.Ka.any() or self.Kaa.any() or any(own.motion.any() for own in self.compensations)
-        return bool(np.isfinite([self.slew, self.bandwidth]).any() or moved or self.late.any() or self.play.any())
+        return bool(np.isfinite([self.slew, self.bandwidth]).any() or moved or self.awaits)
+
+    @property
+    def awaits(self) -> bool:
+        """Whether the loop awaits something else than m."""
+        return bool(self.late.any() or self.play.any())
 
     @cached_property
     def lags(self) -> tuple[np.ndarray, np.ndarray]:
@@ -378,7 +383,7 @@ class ScheduledPID:
         law = SHAPED_LAW if self.shaped else LAW
         if self._fed:
             law = FED_LAW.format(law=law, own=", and g(position m + motion m') of every compensation" * bool(self.compensations))
-        law = LATE_LAW.format(law=law) if self.late.any() or self.play.any() else law
+        law = LATE_LAW.format(law=law) if self.awaits else law
         law = CURVED_LAW.format(law=law) if self.curves else law
         return INVERTED_LAW.format(law=law) if self.inverses else law
 
@@ -386,11 +391,6 @@ class ScheduledPID:
     def _fed(self) -> bool:
         """Whether it feeds forward what programs of before do not know."""
         return bool(self.Kaa.any() or self.paths.any() or self.compensations)
-
-    @property
-    def _awaits(self) -> bool:
-        """Whether it has a dead time, play or an inverse, which programs of before do not know."""
-        return bool(self.late.any() or self.play.any() or self.inverses)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, readable without the package; a limit that is not there is null."""
@@ -411,7 +411,7 @@ class ScheduledPID:
             "b": self.b, "c": self.c, "Tf": self.Tf, "low": finite(self.low), "high": finite(self.high),
             "rate": finite(self.rate), "anti_windup": {"kind": kind} | vars(self.anti_windup), "units": self.units,
         } | (shaping if self.shaped else {}) | (curves if self.curves else {}) | (fed if self._fed else {}) | (
-            every if self._awaits else {}
+            every if self.awaits or self.inverses else {}
         )  # fmt: skip
 
     @classmethod
@@ -562,9 +562,8 @@ class ScheduledPID:
         f = [0.0 if path else own for own, path in zip(f, self.paths, strict=True)]  # of another law's m it says nothing
         arrived = [K.through(i, own) for i, own in enumerate(u)]
         z = [K.arrives(i, own) - other for i, (own, other) in enumerate(zip(arrived, direct, strict=True))]
-        stood = [K.inverses[self.actuated.index(own.input)] for own in self.inverses]
-        sides = [np.sign(arrived[self.actuated.index(own.input)]) for own in self.inverses]
-        teeth = [0.5 * n.play * side for n, side in zip(stood, sides, strict=True)]
+        sides = [np.sign(arrived[i]) for i in K.inverses]
+        teeth = [0.5 * n.play * side for n, side in zip(K.inverses.values(), sides, strict=True)]
         begins = [0.0, self._unknown * self.paths.any()]
         return np.array([*z, *f, *d, *u, *begins, *aim.memory, *sides, *teeth], dtype=float)
 

@@ -108,7 +108,7 @@ def with_csv(law: ScheduledPID) -> dict[str, str]:
     if law.curves:
         found["curves.csv"] = curve_csv(law)
     found |= {"compensations.csv": compensation_csv(law)} if law.compensations else {}
-    found |= {"awaited.csv": awaited_csv(law)} if law.late.any() or law.play.any() else {}
+    found |= {"awaited.csv": awaited_csv(law)} if law.awaits else {}
     return found | ({"inverses.csv": inverse_csv(law)} if law.inverses else {})
 
 
@@ -127,7 +127,7 @@ def gain_table(law: ScheduledPID) -> dict[str, Any]:
         "schedule": one_or_all(schedules),
         "b": law.b, "c": law.c, "Tf": law.Tf, "low": finite(law.low), "high": finite(law.high), "rate": finite(law.rate),
         **shaping, **({"compensations": [own.to_dict() for own in law.compensations]} if law.compensations else {}),
-        **({"late": law.late, "play": law.play} if law.late.any() or law.play.any() else {}),
+        **({"late": law.late, "play": law.play} if law.awaits else {}),
         **({"inverses": [vars(own) for own in law.inverses]} if law.inverses else {}),
         **({"curves": [curve.to_dict() for curve in law.curves]} if law.curves else {}),
         "anti_windup": {"kind": "back-calculation", "tracking": law.tracking} if back else {"kind": "clamping"},

@@ -6,7 +6,7 @@ from string import Template
 
 import numpy as np
 
-from controllers.code.constants import Table, awaits, curves_by_number, table_sizes, tables
+from controllers.code.constants import Table, curves_by_number, table_sizes, tables
 from controllers.code.text import (
     BASIS_NAMES,
     NO_LIMIT_FLOAT,
@@ -335,7 +335,7 @@ def c_code(law: ScheduledPID, name: str, *, single: bool = False) -> tuple[str, 
     """Header and source: <name>_init, <name>_take_over and <name>_step on a <name>_state; `real` is float where single."""
     number, f = (_float, "f") if single else (double_text, "")
     narrow, double = "(real)" * single, "(double)" * single  # of what is kept in double precision, and to it
-    late, inverted = awaits(law), bool(law.inverses)
+    late, inverted = law.awaits, bool(law.inverses)
     accelerated, paths = bool(law.Kaa.any()), bool(law.paths.any())
     first = "s->cold == 3" if paths else "s->cold"
     if single:
@@ -397,7 +397,7 @@ def _c_shaping(law: ScheduledPID, first: str, double: str) -> str:
     accelerate = (C_ACCELERATE + C_NOT_YET * bool(law.paths.any())) * bool(law.Kaa.any())
     begins = "(y[j] + AT_SETPOINT[j] * (r[j] - y[j]))" if law.paths.any() else "y[j]"
     text = C_SHAPING.substitute(double=double, accelerate=accelerate, first=first, begins=begins)
-    if not awaits(law):
+    if not law.awaits:
         return text
     begun = C_BEGIN_AWAITING.substitute(first=first, double=double, begins=begins)
     return text + begun + _c_awaiting(f"{first} ? late : s->l[j]", 8)

@@ -52,16 +52,11 @@ def tables(law: ScheduledPID) -> list[Table]:
             else []
         ),
         *(_shaping(law) if law.shaped else []),
-        *(_awaited(law) if awaits(law) else []),
+        *(_awaited(law) if law.awaits else []),
         *(table for k, own in enumerate(law.compensations, 1) for table in _compensation(law, k, own)),
         *(_inverses(law) if law.inverses else []),
         *(table for i, own in curves_by_number(law) for table in _curve(law, i, own)),
     ]
-
-
-def awaits(law: ScheduledPID) -> bool:
-    """Whether the loop awaits something else than m."""
-    return bool(law.late.any() or law.play.any())
 
 
 def _awaited(law: ScheduledPID) -> list[Table]:
@@ -183,7 +178,7 @@ def table_sizes(law: ScheduledPID) -> dict[str, int]:
     m, nu, ny = law.Kp.shape
     common = {"NU": nu, "NY": ny} | {f"NODES_{i}": len(own.u) for i, own in curves_by_number(law)}
     common |= {f"POINTS_{k}": len(own.curve.u) for k, own in enumerate(law.compensations, 1)}
-    common |= {"LAGS": int(law.lags[0].max()) + 1} if awaits(law) else {}
+    common |= {"LAGS": int(law.lags[0].max()) + 1} if law.awaits else {}
     if not law.schedule:
         return common
     if not isinstance(law.basis, Products):

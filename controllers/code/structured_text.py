@@ -5,7 +5,7 @@ import textwrap
 from string import Template
 from typing import NamedTuple
 
-from controllers.code.constants import Table, awaits, channels, curves_by_number, table_sizes, tables
+from controllers.code.constants import Table, channels, curves_by_number, table_sizes, tables
 from controllers.code.text import (
     BASIS_NAMES,
     NO_LIMIT,
@@ -412,7 +412,7 @@ ST_CLAMPING = """\
 def st_code(law: ScheduledPID, name: str) -> str:
     """A FUNCTION_BLOCK of that name, all numbers LREAL."""
     scheduled, sizes = law.schedule is not None, table_sizes(law)
-    late, inverted, bent = awaits(law), bool(law.inverses), bool(law.curves)
+    late, inverted, bent = law.awaits, bool(law.inverses), bool(law.curves)
     accelerated, paths, fed = bool(law.Kaa.any()), bool(law.paths.any()), ["Ka"] * law.shaped + ["Kaa"] * bool(law.Kaa.any())
     of_rates = (Template(ST_GAIN_OF_RATES).substitute(gain=f"gain_{key[1:]}", K=key.upper()) for key in fed)
     gains = (ST_GAINS + "".join(of_rates)) * scheduled

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from controllers.code.constants import awaits, channels
+from controllers.code.constants import channels
 from controllers.scheduled_pid import BackCalculation, ScheduledPID
 from workbench.basis import Basis, Gaussian, PiecewiseLinear, Powers, Products
 from workbench.physics.controller import schedules_of
@@ -68,14 +68,14 @@ def head_lines(law: ScheduledPID) -> list[str]:
     back = isinstance(law.anti_windup, BackCalculation)
     m, rate = ("m", " + KA n" + " + KAA n'" * bool(law.Kaa.any())) if law.shaped else ("r", "")
     rate += " + what compensates" * bool(law.compensations)
-    own = "l" if awaits(law) else m
+    own = "l" if law.awaits else m
     wanted, arrives = ("the command of which v arrives,", "(what arrives of u)") if law.curves else ("v", "u")
     shaping = [
         "s  = r within SLEW PERIOD of the last s; at the start the last s is y",
         "m, n = MODEL (m-, n-, s): a critically damped reference model and its rate; it starts from rest at y",
         *(["     of a path m is s itself, and n its difference from the last; it starts at r"] if law.paths.any() else []),
         *(["n' = CHANGE (s - m, n, n-): the acceleration"] if law.Kaa.any() else []),
-        *(["l  = m of LAG + LAG_SHARE samples ago, through a play of half width PLAY"] if awaits(law) else []),
+        *(["l  = m of LAG + LAG_SHARE samples ago, through a play of half width PLAY"] if law.awaits else []),
     ]
     inverted = [
         "     the command before an inverse, which adds HALF_WIDTH side + (GEAR_PLAY side / 2 - teeth) / PERIOD; side is its",
