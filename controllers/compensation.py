@@ -165,7 +165,9 @@ def compensated(
             done = bool(np.all(_ratio(*under) <= WORSE))
             shown = shown if done else under
         said = f"{key} is cancelled: errors of set-points are less {_less(*shown)}, on {len(after)} machines drawn within "
-        said = f"{said}its intervals" if done else f"{key} is not cancelled: {_lost(given, *shown)}"
+        said = (
+            f"{said}its intervals{_otherwise(key, plant, content)}" if done else f"{key} is not cancelled: {_lost(given, *shown)}"
+        )
         told.append(Compensated(key, done, said, *shown))
         best, errors = (tried, after) if done else (best, errors)
     if early and (best.due == best.dead).all():  # what is late in differences shows where little else is left
@@ -210,6 +212,16 @@ def _unsure(key: str, plant: Plant, content: Any) -> str:
     alike = lambda own: own.partition("@")[2] == key.partition("@")[2] and _speed_alone(plant, own)  # noqa: E731
     other = [own for own in rivals if not alike(own) and not (late and own.partition("@")[0] in LATE)]
     return f"the records cannot tell it from {other[0]}" if other else ""
+
+
+def _otherwise(key: str, plant: Plant, content: Any) -> str:
+    """What a rival that the loop awaits alike would mean, in words: late commands make a machine late, a late sensor does not."""
+    cause = next(own for own in content["causes"] if f"{own['effect']}@{own['at']}" == key)
+    commanded = key.partition("@")[2] in plant.input_names
+    other = [name for name in cause.get("ties", ()) if (name.partition("@")[2] in plant.input_names) != commanded]
+    if key.partition("@")[0] not in LATE or not other:
+        return ""
+    return f"; if it is {other[0]} instead, which suits the records too, outputs are there {'sooner' if commanded else 'later'}"
 
 
 def _pays(given: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:

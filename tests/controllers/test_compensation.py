@@ -160,6 +160,9 @@ def test_friction_before_a_dead_time_are_both_cancelled():
     after = error(better, r := path(3), 95.5, 204.0, **true, due=better.late[0])
     assert error(law, r, 95.5, 204.0, **true) > 8.0 * after
     assert error(replace(better, late=1.5 * DT), r, 95.5, 204.0, **true, due=1.5 * DT) > 1.5 * after
+    tied = content | {"causes": [content["causes"][0], content["causes"][1] | {"ties": ["sensor-lag@q"]}]}
+    told = of(compensated(law, plant, tied, early=True)[1], "input-delay@F").sentence
+    assert told.endswith("; if it is sensor-lag@q instead, which suits the records too, outputs are there sooner")
     _, said = compensated(law, plant, content)
     assert "with --early paths are given that much early" in of(said, "input-delay@F").sentence
 
