@@ -403,7 +403,8 @@ class Predictor:
 
     def _loosen(self, i, active, size, corrected, flow, F, G) -> np.ndarray:
         """Where the play of a sensor stands, over a sample: dm+ = c dz+ + (1 - c) dm, with the chance c that it is taken up; and
-        variances (N - 1, n) that this adds, c (1 - c) var(dz+ - dm): it is one or the other, and not in between.
+        variances (N - 1, n) that this adds, c (1 - c) var(dz+ - dm): it is one or the other, and not in between. Noise of
+        the readings counts up to half_width² in it: unlike pushes it does not move what the play follows.
 
         Slopes of 0 or 1 would be too sure: at a reversal the play would stand where noise had reached, and be fitted wider. A
         filter that took a slope of c for granted would correct by 1 / c, and run away where the slope is 1.
@@ -419,11 +420,12 @@ class Predictor:
             row = active.tolist().index(own)
             F[:, row], G[:, row] = 0.0, 0.0
             beyond = np.abs(z - corrected[:-1, own]) - half_width
-            spread = drifted(F, G, H, self.noise.process, beyond >= 0.0) + self.noise.measurement[j] ** 2
-            taken_up = ndtr(beyond / np.sqrt(spread))[:, None]
+            pushed, noise = drifted(F, G, H, self.noise.process, beyond >= 0.0), self.noise.measurement[j] ** 2
+            taken_up = ndtr(beyond / np.sqrt(pushed + noise))[:, None]
             F[:, row], G[:, row] = taken_up * np.einsum("ki,kij->kj", H, F), taken_up * np.einsum("ki,kij->kj", H, G)
             F[:, row, row] = 1.0 - taken_up[:, 0]
-            found[:, row] = taken_up[:, 0] * (1.0 - taken_up[:, 0]) * spread
+            if not self.simulated:  # nothing is uncertain there, and nothing corrects
+                found[:, row] = taken_up[:, 0] * (1.0 - taken_up[:, 0]) * (pushed + min(noise, half_width**2))
         return found
 
     def moved(self, i: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
