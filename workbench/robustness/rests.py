@@ -70,21 +70,52 @@ def holding(
         return None
     X = inverse @ right
     X[:, 0] = start
-    if not np.isfinite(X).all() or (off := _missed(left, inverse, exact(right) - left @ X)) is None:
-        return None
-    x = exact(X) + Interval(-off, off)
     J = np.hstack([rest.f[:, None], rest.J, np.zeros((len(rest.f), B.shape[1]))])
-    z, g = exact(C) @ x + J, rest.Q.shape[1]
+    nothing = [np.zeros(len(signs)) for signs, _ in channels]
+    return _bounded(left, inverse, X, exact(right) - left @ X, C, J, lam, channels, nothing)
+
+
+def remaining(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, lam: np.ndarray, channels: Sequence[tuple[np.ndarray, bool]],
+    missed: np.ndarray, own: Sequence[np.ndarray],
+) -> Start | None:  # fmt: skip
+    """A set that holds every x = A x + q + B w with |q| <= missed (n), or None where none is proved.
+
+    w_j is what the parameters of channel j make of C x, and besides at most own_j (J) for each of its rows of signs.
+    """
+    left = exact(np.eye(len(A))) - A
+    try:
+        inverse = np.linalg.inv(left.mid)
+    except np.linalg.LinAlgError:
+        return None
+    X = np.column_stack([np.zeros(len(A)), inverse @ B])
+    residual = exact(np.column_stack([np.zeros(len(A)), B])) - left @ X
+    wider = np.column_stack([missed, np.zeros(B.shape)])
+    residual = residual + Interval(-wider, wider)
+    return _bounded(left, inverse, X, residual, C, np.zeros((len(C), X.shape[1])), lam, channels, own)
+
+
+def _bounded(
+    left: Interval, inverse: np.ndarray, X: np.ndarray, residual: Interval, C: np.ndarray, J: np.ndarray, lam: np.ndarray,
+    channels: Sequence[tuple[np.ndarray, bool]], beside: Sequence[np.ndarray],
+) -> Start | None:  # fmt: skip
+    """A set that holds every (X + E) (1, e, w), with left E = residual; the last columns of X are those of w, which is bounded by
+    what the parameters make of C x + J (1, e, w) and by `beside` (J) of each channel.
+    """
+    if not np.isfinite(X).all() or (off := _missed(left, inverse, residual)) is None:
+        return None
+    x, known = exact(X) + Interval(-off, off), X.shape[1] - len(channels)
+    z = exact(C) @ x + J
     own, through = [], []  # of each channel the rows of a + M W
-    for signs, summed in channels:
-        seen = abs(exact(signs * lam) @ z).high
+    for (signs, summed), more in zip(channels, beside, strict=True):
+        seen = np.column_stack([abs(exact(signs * lam) @ z).high, more])
         seen = seen.sum(axis=0, keepdims=True) if summed else seen
-        own.append(seen[:, : 1 + g].sum(axis=1) * UP)
-        through.append(seen[:, 1 + g :] * UP)
+        own.append((seen[:, :known].sum(axis=1) + seen[:, -1]) * UP)
+        through.append(seen[:, known:-1] * UP)
     W = _fixed(own, through)
     if W is None:
         return None
-    size = np.append(np.ones(g), W)
+    size = np.append(np.ones(known - 1), W)
     return Start(X[:, 1:], size, (off[:, 0] + off[:, 1:] @ size) * UP + TINY)
 
 

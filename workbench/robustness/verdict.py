@@ -14,9 +14,10 @@ Stability and bounds are of the linear law: they hold as long as no command is a
 
 A run begins at the rest of any machine of the boxes, which is not that of the middle: other gains, other integrals.
 
-What is proved holds for parameters that are others at every sample, and so for those that stand still. What refutes is another
-matter: unless parameters are said to move, only a run with constant ones does that no record refutes; where they are, it refutes
-too, and so does every sequence within the boxes.
+What is proved holds for parameters that are others at every sample, and so for those that stand still; unless they are said to
+move, a bound along a run may also be proved for constant ones alone, and says so. What refutes is another matter: unless
+parameters are said to move, only a run with constant ones does that no record refutes; where they are, it refutes too, and so
+does every sequence within the boxes.
 
 The margin of what is undecided is what is missing to the proof.
 """
@@ -32,7 +33,8 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.records import field, record
 from workbench.robustness.envelopes.adversary import worst
-from workbench.robustness.envelopes.course import Course, replay
+from workbench.robustness.envelopes.constant import constant
+from workbench.robustness.envelopes.course import Course, explained, replay
 from workbench.robustness.envelopes.dual import dual
 from workbench.robustness.envelopes.kernel import Kernel, kernel
 from workbench.robustness.margins import Falsified, Margin
@@ -172,12 +174,17 @@ class Tried:
 
 @record
 class Kept:
-    """The verdict on a bound, and the run that comes nearest to breaking it, at `sample`."""
+    """The verdict on a bound, and the run that comes nearest to breaking it, at `sample`.
+
+    outer: what holds every run, or, if `constant`, every run with constant parameters.
+    """
 
     bound: Bound
     verdict: Verdict
     run: Tried
     sample: int
+    outer: Kernel
+    constant: bool
 
 
 def bounds_kept(
@@ -195,26 +202,27 @@ def bounds_kept(
 
     stops: of the commands, within which the law is linear. From where it is not proved that they are kept nothing else is.
     possible (R p): constant parameters of the boxes that may be the machine's, and refute, each from its own rest. moving, or
-    possible None: sequences within the boxes refute too. Raises InputError for a bound that asks nothing.
+    possible None: sequences within the boxes refute too, and nothing is proved for constant parameters alone. Raises InputError
+    for a bound that asks nothing.
     """
     for bound in bounds:
         if not (np.isfinite(bound.low) | np.isfinite(bound.high)).any():
             raise InputError("asks nothing within the run", file=bound.claim, mend="a longer run, or an earlier begin")
-    outer, free = kernel(course), len(course)
-    for stop in stops:
-        progress(stop.claim)
-        free = min(free, _proved_until(course, outer, stop))
-    constant = None if possible is None else _constant_runs(course, possible)
-    proved, found = _Proved(course, outer, free, tuple(stops), of, dt), []
+    outer, of_constant, found = kernel(course), None, []
+    of_any = _proved(course, outer, stops, of, dt, False, progress)
+    still = None if possible is None else _constant_runs(course, possible)
     for bound in bounds:
         progress(bound.claim)
         furthest = tried = _moving_runs(course, outer.nominal.v, bound)
-        if constant is not None:
-            tried = _with_noise(course, constant, bound, stops)
+        if still is not None:
+            tried = _with_noise(course, still, bound, stops)
             furthest = furthest.beside(tried)
         tried = furthest if moving else tried
-        until = _proved_until(course, outer, bound)
-        found.append(_judged(proved, bound, tried, furthest, until))
+        kept = _judged(of_any, bound, tried, furthest)
+        if kept.verdict.status is Status.UNDECIDED and tried is not furthest:
+            of_constant = of_constant or _proved(course, constant(course, outer), stops, of, dt, True, progress)
+            kept = _judged(of_constant, bound, tried, furthest)
+        found.append(kept)
     return found
 
 
@@ -236,14 +244,9 @@ def _moving_runs(course: Course, run: np.ndarray, bound: Bound) -> Tried:
     return Tried(found.v, found.delta, found.before, found.share, found.start)
 
 
-def _explained(course: Course) -> np.ndarray:
-    """Which parameters (p) belong to regressors that move with the loop; the others are errors that come new at every sample."""
-    return np.abs(course.C).max(axis=(0, 2), initial=0.0) > 0.0
-
-
 def _noisy(course: Course) -> bool:
     """Whether errors act that no parameter explains."""
-    return bool((course.lam[:, ~_explained(course)] > 0.0).any())
+    return bool((course.lam[:, ~explained(course)] > 0.0).any())
 
 
 def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
@@ -251,7 +254,7 @@ def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
 
     Those that do not come to rest begin at that of the middle.
     """
-    own = np.where(_explained(course) & (course.lam.max(axis=0) > 0.0), possible, 0.0)
+    own = np.where(explained(course) & (course.lam.max(axis=0) > 0.0), possible, 0.0)
     open_ = course.before.Q.shape[1] if course.before else 0
     share = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=open_)))
     own, share = np.repeat(own, len(share), axis=0), np.tile(share, (len(own), 1))
@@ -269,7 +272,7 @@ def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[B
         return best
     fixed = course.at(best.delta[0, 0])
     errors = _moving_runs(fixed, best.v[0], bound)
-    delta, before = best.delta + np.where(_explained(course), 0.0, errors.delta), best.before + errors.before
+    delta, before = best.delta + np.where(explained(course), 0.0, errors.delta), best.before + errors.before
     share = errors.share if fixed.before else np.repeat(best.share, len(delta), axis=0)
     start = course.begun(before, share)
     return Tried(replay(course, delta, start), delta, before, share, start)
@@ -306,7 +309,9 @@ def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:
 
 @record
 class _Proved:
-    """What the verdicts of one course share: the kernel around all runs, the samples before any command may be at its stop."""
+    """What the verdicts of one course share: the kernel around all runs, if `constant` around those whose parameters stand still,
+    and the samples before any command may be at its stop.
+    """
 
     course: Course
     outer: Kernel
@@ -314,11 +319,23 @@ class _Proved:
     stops: tuple[Bound, ...]
     of: str
     dt: float
+    constant: bool
 
 
-def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried, until: int) -> Kept:
-    """The verdict on a bound that is proved until a sample, of runs that were tried and of the furthest ones."""
+def _proved(
+    course: Course, outer: Kernel, stops: Sequence[Bound], of: str, dt: float, constant: bool, progress: Callable[[str], None]
+) -> _Proved:
+    free = len(course)
+    for stop in stops:
+        progress(stop.claim)
+        free = min(free, _proved_until(course, outer, stop))
+    return _Proved(course, outer, free, tuple(stops), of, dt, constant)
+
+
+def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kept:
+    """The verdict on a bound, of runs that were tried and of the furthest ones."""
     course, outer, free, dt = proved.course, proved.outer, proved.free, proved.dt
+    until = _proved_until(course, outer, bound)
     i, unit = course.number(bound.signal), bound.unit
     excess = _excess(tried.v, bound, i, _linear_until(course, tried.v, proved.stops))
     row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
@@ -333,7 +350,7 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried, until:
 
     def kept(status: Status, margin: float, said: str) -> Kept:
         found = Verdict(bound.claim, proved.of, status, margin, unit, said, every=every)
-        return Kept(bound, found, tried.row(row), k)
+        return Kept(bound, found, tried.row(row), k, outer, proved.constant)
 
     moving, noisy = tried is furthest, _noisy(course)
     limits = np.concatenate([bound.low[np.isfinite(bound.low)], bound.high[np.isfinite(bound.high)]])
@@ -347,6 +364,8 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried, until:
         said = (
             f"whatever the parameters do at {len(course)} samples, {begun}; the worst sequences found leave {-beyond:.3g} {unit}"
         )
+        if proved.constant:
+            said = f"whatever constant parameters of the boxes at {len(course)} samples, {begun}; {_tried(reached, beyond, unit)}"
         return kept(Status.PROVED, max(left, 0.0), said)
     if outer.start is None:
         said = "no set is known that holds the rests of all machines of the boxes: a run may begin anywhere"
@@ -358,10 +377,20 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried, until:
         said += f", but after {free * dt:.4g} s a command may be at its stop"
     elif every is not None:
         said += f"; every run stays within {every[0]:.4g} to {every[1]:.4g} {unit}"
-    if not moving:
-        said += f"; constant parameters leave {-reached:.3g} {unit}" if np.isfinite(reached) else "; nothing was tried before"
-    said += f"; moving ones {'leave' if beyond <= 0.0 else 'go beyond it by'} {abs(beyond):.3g} {unit}"
+    said += f"; {_tried(reached, beyond, unit)}" if not moving else f"; moving parameters {_beside(beyond, unit)}"
     return kept(Status.UNDECIDED, left if free == len(course) else math.nan, said)
+
+
+def _tried(reached: float, beyond: float, unit: str) -> str:
+    """How near to a bound constant parameters bring a run, and any."""
+    constant = (
+        f"constant ones that were tried leave {-reached:.3g} {unit}" if np.isfinite(reached) else "nothing was tried before"
+    )
+    return f"{constant}, moving ones {_beside(beyond, unit)}"
+
+
+def _beside(beyond: float, unit: str) -> str:
+    return f"{'leave' if beyond <= 0.0 else 'go beyond it by'} {abs(beyond):.3g} {unit}"
 
 
 def _linear_until(course: Course, v: np.ndarray, stops: Sequence[Bound]) -> np.ndarray:

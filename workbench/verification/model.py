@@ -24,7 +24,6 @@ from workbench.records import field, record
 from workbench.report import figures
 from workbench.report.blocks import Block, Table
 from workbench.robustness.envelopes.course import Course
-from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.falsify.counterexample import same
 from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins
@@ -436,8 +435,7 @@ def _broken(own: Course, kept: Kept, passage: Passage) -> Broken:
 
 def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Channel], dt: float) -> list[Block]:
     """Every signal with a bound: band, worst runs, bounds."""
-    outer = kernel(own)
-    run = outer.nominal.v
+    run = kept[0].outer.nominal.v if kept else np.empty((0, 0))
     t, blocks = dt * np.arange(len(run)), []
     for signal in dict.fromkeys(k.bound.signal for k in kept):
         i = own.number(signal)
@@ -447,12 +445,18 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
             f"{side} limit": pick([getattr(k.bound, side) for k in mine], axis=0)
             for side, pick in (("low", np.max), ("high", np.min))
         }
+        tightest = max(mine, key=lambda k: k.constant)
+        outer = tightest.outer
         name = signal.removeprefix(RATE_OF)
         unit = channels[name].unit + "/s" * signal.startswith(RATE_OF)
+        which = (
+            "whatever constant parameters it has"
+            if tightest.constant
+            else "whatever the parameters do within them at every sample"
+        )
         caption = (
-            "The band holds every run from the rest of any machine of the boxes, whatever the parameters do within them at every "
-            "sample, while no command is at its stop. Coloured: the runs that come nearest to a limit, with parameters that may "
-            "refute it."
+            f"The band holds every run from the rest of any machine of the boxes, {which}, while no command is at its stop. "
+            "Coloured: the runs that come nearest to a limit, with parameters that may refute it."
         )
         blocks.append(
             figures.guaranteed(

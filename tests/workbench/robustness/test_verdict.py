@@ -86,7 +86,13 @@ def test_moving_parameters_refute_only_where_they_are_said_to_move():
     assert reached > corners.max() + 0.005
     between = bound(high=0.5 * (reached + corners.max()))
     assert verdict(course, between, moving=True).status is Status.FAILED
-    undecided = verdict(course, between)
+    still = kept_of(course, between)
+    assert still.verdict.status is Status.PROVED
+    assert still.constant
+    assert "constant parameters" in still.verdict.sentence
+    assert "moving ones go beyond it by" in still.verdict.sentence
+    assert still.outer.high[:, 0].max() < reached
+    undecided = verdict(course, bound(high=corners.max() + 1e-6))
     assert undecided.status is Status.UNDECIDED
     assert "moving ones go beyond it by" in undecided.sentence
     assert verdict(course, bound(high=corners.max() - 1e-6)).status is Status.FAILED

@@ -128,6 +128,11 @@ class Course:
         return self.signals.index(signal)
 
 
+def explained(course: Course) -> np.ndarray:
+    """Which parameters (p) belong to regressors that move with the loop; the others are errors that come new at every sample."""
+    return np.abs(course.C).max(axis=(0, 2), initial=0.0) > 0.0
+
+
 @record
 class Nominal:
     """The run with every delta at zero: x (N n), z (N p), v (N s)."""

@@ -28,6 +28,18 @@ HUGE = 1e100  # TINY is above what underflow takes from a product with two facto
 
 
 @record
+class Drive:
+    """What moves the deviations from a run: |s'(lam z)| of every row of signs without them, own (N J), what a step (N n) and the
+    signals (N s) may be off besides, missed and unseen, and the set in which the deviation begins.
+    """
+
+    own: np.ndarray = field("N J", low=0.0)
+    missed: np.ndarray = field("N n", low=0.0)
+    unseen: np.ndarray = field("N s", low=0.0)
+    start: Start | None
+
+
+@record
 class Kernel:
     """|v - nominal.v| <= half (N s) and |x - nominal.x| <= state (N n), infinite where there is nothing to say.
 
@@ -64,18 +76,23 @@ def kernel(course: Course) -> Kernel:
     unit being above the rounding of the longest sum, and TINY above what underflow takes. Before the box grows much, for |A| may
     have no decay, it becomes n columns.
     """
-    run, m = nominal(course), course.modes
+    run, channels = nominal(course), channels_of(course)
+    rows = np.concatenate([signs for signs, _ in channels])  # (J p)
+    return carried(course, run, Drive(*rounded_run(course, run, rows, np.ones(rows.shape[1])), _start(course, channels)))
+
+
+def carried(course: Course, run: Nominal, drive: Drive) -> Kernel:
+    """The bounds of what a drive moves around a run; see `kernel`."""
+    m, channels = course.modes, channels_of(course)
     (N, n), c, s = course.q.shape, course.B.shape[2], len(course.signals)
-    channels = _channels(course)
     rows = np.concatenate([signs for signs, _ in channels])  # (J p)
     ends = np.cumsum([0, *(len(signs) for signs, _ in channels)])
     look = np.concatenate([(rows * course.lam[:, None]) @ course.C, course.E], axis=1)  # (M J+s n)
-    unit = _unit(n + course.f.shape[1])
+    unit = rounding(n + course.f.shape[1])
     A, F, one = np.abs(course.A), np.abs(course.F), np.eye(c)
     sizes = np.concatenate([(np.abs(rows) * course.lam[:, None]) @ np.abs(course.C), np.abs(course.E)], axis=1)
-    own, missed, unseen = _rounded_run(course, run, rows, unit)
     half, state, gains = np.full((N, s), np.inf), np.full((N, n), np.inf), np.zeros((c, c))
-    start = _start(course, channels)
+    own, missed, unseen, start = drive.own, drive.missed, drive.unseen, drive.start
     begun = start or rests.known(n)
     lost, used = begun.slack, len(begun.size)
     Z, weight, born = _first_columns(begun, c)
@@ -93,7 +110,7 @@ def kernel(course: Course) -> Kernel:
             if k % AGE == 0 and k > 0:
                 used, left = _exchanged(Z, weight, born, used, k, look[i])
                 lost = lost + left
-            now, up = Z[:, :used], 1.0 + _unit(used + n + len(look[i]))
+            now, up = Z[:, :used], 1.0 + rounding(used + n + len(look[i]))
             size = (np.abs(now) @ weight[:used, 0]) * up + lost
             risen = sizes[i] @ lost
             reach = np.abs(look[i] @ now) @ weight[:used]
@@ -118,13 +135,16 @@ def kernel(course: Course) -> Kernel:
     return Kernel(half, state, float(np.abs(np.linalg.eigvals(gains)).max(initial=0.0)) if finite else np.inf, run, start)
 
 
-def _rounded_run(course: Course, run: Nominal, rows: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """|s'(lam z_nom)| with its rounding (N J), and what rounding takes from a step (N n) and from v (N s) of the nominal run."""
-    m, x = course.modes, np.abs(run.x)
+def rounded_run(course: Course, run: Nominal, rows: np.ndarray, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """|s'(lam z_nom)| with its rounding (N J), and what rounding takes from a step (N n) and from v (N s) of the nominal run.
+
+    counted (p): 0 for parameters whose z_nom is left out of the first; its rounding is not.
+    """
+    m, x, unit = course.modes, np.abs(run.x), rounding(course.q.shape[1] + course.f.shape[1])
     missed = unit * (np.einsum("kin,kn->ki", np.abs(course.A)[m], x) + np.abs(course.q))
     unseen = unit * (np.einsum("ksn,kn->ks", np.abs(course.E[m]), x) + np.abs(course.g))
     felt = course.lam[m] * (np.einsum("kpn,kn->kp", np.abs(course.C[m]), x) + np.abs(course.f))
-    own = np.abs((course.lam[m] * run.z) @ rows.T) + unit * felt @ np.abs(rows).T
+    own = np.abs((course.lam[m] * run.z * counted) @ rows.T) + unit * felt @ np.abs(rows).T
     return own, missed, unseen
 
 
@@ -141,7 +161,7 @@ def _first_columns(begun: Start, c: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 def starts(course: Course) -> Start | None:
     """A set that holds every start of the course, or None where none is proved to."""
-    return _start(course, _channels(course))
+    return _start(course, channels_of(course))
 
 
 def window_start(course: Course, first: int, outer: Kernel | None) -> Start | None:
@@ -159,11 +179,12 @@ def _start(course: Course, channels: Sequence[tuple[np.ndarray, bool]]) -> Start
     return rests.holding(course.before, course.A[i], course.B[i], course.C[i], course.lam[i], course.start, channels)
 
 
-def _channels(course: Course) -> list[tuple[np.ndarray, bool]]:
+def channels_of(course: Course) -> list[tuple[np.ndarray, bool]]:
+    """Of every channel its rows of signs (J p), and whether a bound is their sum instead of their maximum."""
     return [_signs(np.flatnonzero(course.channel == j), course) for j in range(course.B.shape[2])]
 
 
-def _unit(terms: int) -> float:
+def rounding(terms: int) -> float:
     """Above the relative rounding of a sum of so many products of rounded factors, and of the few operations on it."""
     return 8.0 * (terms + 4) * float(np.finfo(float).eps)
 
@@ -187,7 +208,7 @@ def _exchanged(
     The box stands along the principal axes of the columns, where they are thinnest, and is the older one of two that are tried.
     The second answer (n) bounds what is left: a column is T y and col - T y, for any T and y, so that neither needs to be exact.
     """
-    n, unit = len(Z), _unit(used + len(Z))
+    n, unit = len(Z), rounding(used + len(Z))
     seen = np.abs(look @ Z[:, :used]) * weight[:used, 0]
     whole = seen.sum(axis=1)
     age = AGE

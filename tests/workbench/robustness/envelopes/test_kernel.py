@@ -120,7 +120,7 @@ def test_the_kernel_covers_what_rounding_takes(name, monkeypatch):
     assert np.all(left >= 0.0)
     if course.lam.any():
         assert np.all(left[2:] < 1e-9)
-    monkeypatch.setattr(kernel_module, "_unit", lambda _: 0.0)
+    monkeypatch.setattr(kernel_module, "rounding", lambda _: 0.0)
     assert np.any(left_by(course, [1.0]) < 0.0)
 
 
@@ -191,7 +191,7 @@ def test_what_rounds_is_carried_on(monkeypatch):
     course = some(2, n=6, p=3, N=300, lam=0.02, radius=0.95)
     assert np.abs(np.linalg.eigvals(np.abs(course.A[0]))).max() > 1.5
     half = kernel(course).half
-    monkeypatch.setattr(kernel_module, "_unit", lambda _: 0.0)
+    monkeypatch.setattr(kernel_module, "rounding", lambda _: 0.0)
     np.testing.assert_allclose(half, kernel(course).half, rtol=1e-6)
     monkeypatch.undo()
     monkeypatch.setattr(kernel_module, "YOUNG", 10**6)
