@@ -77,7 +77,7 @@ def _sampled(
 ) -> Verdict:  # fmt: skip
     """What random machines say: a statement about sampling, not about the worst case."""
     found = at_random(Search(plant, law, scenario, limits.limits, box, runs=runs, seed=seed, progress=progress))
-    share = -math.log(SURE) / found.runs
+    share = 1.0 - SURE ** (1.0 / found.runs)  # (1 - share)^runs = SURE
     if found.broken:
         said = f"{found.sentence}; among {found.runs} random machines"
         return Verdict("limits, machines drawn at random", of, Status.UNDECIDED, -found.excess, "", said)
