@@ -9,6 +9,7 @@ Before it is handed out the controller runs its loop once, on the plant where on
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from controllers.mpc import MPC, default_weights, design_mpc
 from controllers.pid_design import OBJECTIVES, PIDDesign, Structure, design_pid
+from controllers.receding import Weights
 from controllers.scheduled_pid import ScheduledPID, check_limits, let_through
 from workbench.curves import Curve
 from workbench.data import Channel
@@ -24,7 +26,8 @@ from workbench.hammerstein import HammersteinWienerModel, Model, core_of, invert
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
-from workbench.robustness.frozen import Bounds
+from workbench.robustness.frequency import peak
+from workbench.robustness.frozen import Bounds, closed_loop
 from workbench.steady import dying
 from workbench.verification.trial import BAND, LONGEST, OVERSHOOT, SETTLED, Trial, tried
 
@@ -34,9 +37,12 @@ Say = Callable[[str], None]
 MODELS, FINER = 24, 0.5**0.5  # bandwidths that reference models are tried with, each so much of the one before
 SLOWEST = 10.0 / LONGEST  # of 1 / dt: what has settled well before a run ends
 FROZEN, POINTS = 5, 1000  # schedule values at which they are; samples of a step that are looked at
+FINE = 9  # schedule values at which |S| of an MPC is looked at, where there is one variable
 SLOWER = 4  # runs at most, each with reference models half as fast where the one before overshoots
 MOVED = 1.0 + 1e-6  # times what the set-point itself would move a command by, that a reference model may
 SUSTAINED = 0.8  # of the limits of commands, that an output of a model that integrates is moved with
+PRICES = tuple(3e-3 * 10 ** np.linspace(0.0, 4.0, 33))  # of moves of an MPC, that are tried
+COARSER = 4  # of them, one in so many where none keeps the bound
 NOTHING = 1e-3  # of what the proportional part makes of an error of a sample's move: a smaller feedforward of a rate is none
 LATER = 1.5  # times as late as the best, from where on slower ones are not tried
 ALIKE = 0.02, 1.1  # of a step, overshoots that differ by less; times to settle that differ by a factor of less
@@ -275,16 +281,18 @@ def _overshoots(trial: Trial) -> np.ndarray:
 class MPCDesign:
     """An MPC on the model that keeps limits of commands always and of outputs where it can.
 
-    horizon: samples that it looks ahead; move: price of a unit move of a command; low, high, rate [1/s]: limits of commands by
-    input, default those of the fallback; keep: (lowest, highest) by output. fallback: the PID for when all else fails, designed
-    with default bounds and these limits where none is given. setpoint: the usual one by output.
+    horizon: samples that it looks ahead; move: price of a unit move of a command, default the lowest with which |S| of the law
+    without active limits stays within `sensitivity` over the schedule; low, high, rate [1/s]: limits of commands by input,
+    default those of the fallback; keep: (lowest, highest) by output. fallback: the PID for when all else fails, designed with
+    default bounds and these limits where none is given. setpoint: the usual one by output.
 
         >>> MPCDesign(horizon=10, keep={"n": (-30.0, 30.0)}, fallback=law).on(model).measured
         ('n',)
     """
 
     horizon: int = 20
-    move: float = field("", low=1e-12, default=0.003)
+    move: float | None = None
+    sensitivity: float = field("", low=1.0 + 1e-9, default=2.0)
     low: Numbers = field(default_factory=dict)
     high: Numbers = field(default_factory=dict)
     rate: Numbers = field(default_factory=dict)
@@ -293,6 +301,10 @@ class MPCDesign:
     setpoint: Numbers = field(default_factory=dict)
 
     def __post_init__(self):
+        if self.move is not None and not 0.0 < self.move < np.inf:
+            raise InputError(
+                f"move {self.move:g}", mend="the price of moving a command: a number above 0, or None to have it chosen"
+            )
         for name, ends in self.keep.items():
             if not isinstance(ends, tuple | list) or len(ends) != 2:
                 raise InputError(f"keep {name}: {ends!r}", mend="give the lowest and the highest value: (-20.0, 20.0)")
@@ -310,12 +322,37 @@ class MPCDesign:
             fallback = ScheduledPIDDesign(low=self.low, high=self.high, rate=self.rate, setpoint=self.setpoint).design(model).law
         lowest, highest = ({y: ends[i] for y, ends in self.keep.items()} for i in (0, 1))
         law = design_mpc(
-            model, fallback, horizon=self.horizon, weights=default_weights(model, self.move),
+            model, fallback, horizon=self.horizon, weights=self.weights(model, fallback),
             y_low=by_channel("output", lowest, model.outputs, model.name, -np.inf),
             y_high=by_channel("output", highest, model.outputs, model.name, np.inf),
             **command_limits({"low": self.low, "high": self.high, "rate": self.rate}, model, fallback),
         )  # fmt: skip
         return _handed_out(law, tried(law, model, plant, setpoint_of(self.setpoint, model)), accept)
+
+    def weights(self, model: LPVModel, fallback: ScheduledPID) -> Weights:
+        """What outputs and moves count: at the price of moves that was asked for, or the lowest that keeps |S| within bounds.
+
+        |S| falls where moves cost more. Where no price keeps it, that of the least |S|.
+        """
+        if self.move is not None:
+            return default_weights(model, self.move)
+        grid = model.frozen_values(FINE if len(model.schedules) < 2 else FROZEN)
+
+        @cache
+        def largest(price: float) -> float:
+            law = design_mpc(model, fallback, horizon=self.horizon, weights=default_weights(model, price))
+            loops = [closed_loop(law, model, rho).input_sensitivity for rho in grid]
+            return max(peak(S).gain if S.stable else np.inf for S in loops)
+
+        low, high = 0, len(PRICES) - 1
+        if largest(PRICES[low]) <= self.sensitivity:
+            return default_weights(model, PRICES[low])
+        if largest(PRICES[high]) > self.sensitivity:
+            return default_weights(model, min(PRICES[::COARSER], key=largest))
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if largest(PRICES[middle]) <= self.sensitivity else (middle, high)
+        return default_weights(model, PRICES[high])
 
 
 def _check_model(model: Any) -> None:

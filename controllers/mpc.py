@@ -18,11 +18,12 @@ What is done when no solver has an answer stands in `receding`.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
+from controllers.along import Along
 from controllers.observer import Observer, design_observer, interpolated
 from controllers.receding import (
     TINY,
@@ -44,7 +45,11 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel, check_schedule_from_outside, ends, lattice, model_from_dict, one_or_all
 from workbench.physics.controller import schedules_of
 from workbench.records import field, record
-from workbench.steady import gain, rests
+from workbench.robustness.linear_law import Affine
+from workbench.steady import gain
+
+if TYPE_CHECKING:
+    import control
 
 KIND = "mpc"
 KEPT = 2e-6  # relative slack, of which half are the solvers', up to which a plan is in the tube
@@ -162,6 +167,82 @@ class MPC(Receding):
         unknown = np.full(self.observer.L.shape[1], np.nan)  # found from the first measurement
         return MPCState(unknown, held, np.nan, 0.0, UNPLANNED)
 
+    # ---- while no limit acts ----------------------------------------------------------------------------------------------
+
+    @property
+    def span(self) -> np.ndarray:
+        """Between which the schedule changes the law, (2,), (ns, 2) of several variables; infinite without one."""
+        spans = self.model.spans
+        return np.array([-np.inf, np.inf]) if not len(spans) else spans[0] if len(spans) == 1 else spans
+
+    def at(self, rho: Any = None) -> "control.StateSpace":
+        """The law at a schedule value that stands still, from (r, y) to u; its state is (z, last command). See `affine`."""
+        import control
+
+        own = self.affine(rho)
+        return control.StateSpace(own.A, own.B, own.C, own.D, self.dt)
+
+    def offset(self, rho: Any = None) -> np.ndarray:
+        """What `at` leaves out of the command, (nu,); what it leaves out of the state is in `affine`."""
+        return self.affine(rho).o
+
+    def affine(self, rho: Any = None, slope: Any = 0.0) -> Affine:
+        """The law as long as none of its limits acts, at a schedule value that moves by `slope` a sample.
+
+        Its state is (z, u-), with the last command; set-points to come are those of now. Without limits observer, target, plan
+        and the step to the next sample are affine in (z, u-, r, y): their values at 0 and at the unit vectors are all there is to
+        know. Its rows are what the plan holds: commands, their moves, outputs that have limits, and the target.
+        """
+        rho = self.model.middle if rho is None else rho
+        model = Along(self, self._path(rho, np.broadcast_to(slope, np.shape(rho))))
+        nz, nu, ny, N, soft = self.observer.L.shape[1], model.nu, model.ny, self.horizon, self._soft[2]
+
+        def answered(point: np.ndarray) -> np.ndarray:
+            z, last, r, y = np.split(point, np.cumsum([nz, nu, ny]))
+            z, push = self._corrected(MPCState(z, last, rho, slope, UNPLANNED), model, rho, y)
+            xt, ut, yt = self._target(last, model, z, r, limited=False)
+            H, f, Y, free = self._condensed(last, model, z, np.tile(yt, (N + 1, 1)), push, (xt, ut))
+            U = np.linalg.solve(H + TINY * np.trace(H) / len(H) * np.eye(len(H)), -f).reshape(N, nu)
+            moved = np.zeros((N, ny)) if self.tube is None else model.by_errors(model.disturbances(z)[1])
+            ahead, now = (Y @ U.ravel() + free).reshape(N, ny) - moved, model.outputs(z) if self.tube is None else r - moved[-1]
+            rows = U, np.diff(U, axis=0, prepend=last[None]), ahead[:, soft], ut, (r - moved[-1])[soft], now[soft]
+            return np.concatenate([model.moved(z, U[0], push), *(own.ravel() for own in rows)])
+
+        n, at_0 = nz + nu, answered(np.zeros(nz + nu + 2 * ny))
+        slopes = np.column_stack([answered(own) - at_0 for own in np.eye(n + 2 * ny)])
+        u = slice(nz, n)  # the first command of the plan is what the law remembers, too
+        (A, B), (W, V) = (np.split(own, [n], axis=1) for own in (slopes[:n], slopes[nz:]))
+        return Affine(A, B, at_0[:n], A[u], B[u], at_0[u], W, V, at_0[nz:], *self._plan_limits)
+
+    @cached_property
+    def _plan_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest values of the rows of `affine`."""
+        N, nu, soft, tube = self.horizon, len(self.low), self._soft[2], self.tube
+        u, moves, y = (
+            (np.zeros((N, nu)), np.zeros((N, nu)), np.zeros((N, len(self.y_low))))
+            if tube is None
+            else (tube.u, tube.moves, tube.y)
+        )
+        room = u, moves, y[:, soft], u[-1], y[-1, soft], y[-1, soft]
+        low = self.low, -self._way, self.y_low[soft], self.low, self.y_low[soft], self.y_low[soft]
+        high = self.high, self._way, self.y_high[soft], self.high, self.y_high[soft], self.y_high[soft]
+        return (
+            np.concatenate([np.ravel(own + by) for own, by in zip(low, room, strict=True)]),
+            np.concatenate([np.ravel(own - by) for own, by in zip(high, room, strict=True)]),
+        )
+
+    def memory(self, state: MPCState) -> np.ndarray:
+        """The state of `affine` that a memory of the law is."""
+        return np.concatenate([state.z, state.u])
+
+    def slopes(self, rho: np.ndarray) -> np.ndarray:
+        """By how much the law takes a schedule (N), or (N, ns), to move at each of its samples."""
+        state, found = self.init(), []
+        for own in rho:
+            state = state._replace(**dict(zip(("rho", "slope"), self._followed(state, own), strict=True)))
+            found.append(state.slope)
+        return np.array(found)
+
     # ---- files ------------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
@@ -190,7 +271,7 @@ class MPC(Receding):
         """
         rho, slope = self._followed(state, rho)
         path = self._path(rho, slope)
-        model = _Along(self, path)
+        model = Along(self, path)
         z, push = self._corrected(state, model, rho, np.asarray(y, dtype=float))
         wanted = np.broadcast_to(np.asarray(r, dtype=float), (self.horizon, len(self.measured)))
         wanted = np.where(np.isfinite(wanted), wanted, model.outputs(z))  # no set-point: stay where it is
@@ -217,7 +298,7 @@ class MPC(Receding):
         """The schedule over the horizon, (N + 1,) or (N + 1, ns), within what the model knows."""
         return np.clip(rho + np.multiply.outer(np.arange(self.horizon + 1), slope), *ends(self.model.spans))
 
-    def _corrected(self, state: MPCState, model: "_Along", rho: Any, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _corrected(self, state: MPCState, model: Along, rho: Any, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The observer's state after this sample's measurement, and what that moves it by on its way to the next."""
         seen = bool(np.isfinite(y).all())
         if np.isnan(state.z).any():  # first sample: as if the machine had stood at this measurement under the last command
@@ -233,29 +314,36 @@ class MPC(Receding):
         L, J = self.observer.gains(rho)
         return state.z + L @ e, J @ e
 
-    def _program(
-        self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray, push: np.ndarray | None = None
-    ) -> Program:
+    def _program(self, last: np.ndarray, model: Along, z: np.ndarray, r: np.ndarray, push: np.ndarray | None = None) -> Program:
         """The quadratic program in the commands and the slacks of the outputs; push: what this sample's error moves."""
-        from controllers.condensing import condense, with_limits  # compiled when first needed
+        from controllers.condensing import with_limits  # compiled when first needed
+
+        xt, ut, yt = self._target(last, model, z, r[-1])
+        condensed = self._condensed(last, model, z, r + (yt - r[-1]), push, (xt, ut))
+        program = Program(*with_limits(condensed, self._reach(last), self._way, self._soft, TINY))
+        if self.tube is not None:
+            self._tighten(program, model.by_errors(model.disturbances(z)[1]))
+        else:
+            self._give_way(program, model, z, ut)
+        return program
+
+    def _condensed(
+        self, last: np.ndarray, model: Along, z: np.ndarray, r: np.ndarray, push: np.ndarray | None,
+        target: tuple[np.ndarray, np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """The program before its limits: H, f of the commands U, and the outputs Y U + free that they lead to."""
+        from controllers.condensing import condense
 
         nx, N = model.nx, self.horizon
-        xt, ut, yt = self._target(last, model, z, r[-1])
         d_in, d_out = model.disturbances(z)
         pushed, bias, x = model.pushed(d_in - model.u0[:N]), model.y0 + d_out, z[:nx].copy()
         if self.tube is not None:
             pushed[1:] += model.K[1:N] @ d_out
             pushed[0] += 0.0 if push is None else push[:nx]
         weights = self._Q, self._S, self._R, self.terminal_cost(model.path[-1])
-        condensed = condense(model.M, pushed, bias, x, r + (yt - r[-1]), np.array(last), (xt, ut), weights)
-        program = Program(*with_limits(condensed, self._reach(last), self._way, self._soft, TINY))
-        if self.tube is not None:
-            self._tighten(program, model.by_errors(d_out))
-        else:
-            self._give_way(program, model, z, ut)
-        return program
+        return condense(model.M, pushed, bias, x, r, np.array(last), target, weights)
 
-    def _give_way(self, program: Program, model: "_Along", z: np.ndarray, ut: np.ndarray) -> None:
+    def _give_way(self, program: Program, model: Along, z: np.ndarray, ut: np.ndarray) -> None:
         """Ask no more of an output beyond a limit than the command of the steady state does: FURTHER times its excess at most.
 
         On its way back a machine may first go further out, for longer than the horizon: a price on that would hold it there.
@@ -297,9 +385,9 @@ class MPC(Receding):
         return low, high
 
     def _target(
-        self, last: np.ndarray, model: "_Along", z: np.ndarray, r: np.ndarray
+        self, last: np.ndarray, model: Along, z: np.ndarray, r: np.ndarray, *, limited: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Steady state, command and outputs nearest to the set-point that the limits allow."""
+        """Steady state, command and outputs nearest to the set-point that the limits allow; all of them where not `limited`."""
         from controllers.condensing import steady
 
         d_in, d_out = model.disturbances(z)
@@ -311,12 +399,12 @@ class MPC(Receding):
             y0, moved = y0 + moved, moved + d_out
             y_low, y_high = y_low + self.tube.y[-1] + moved, y_high - self.tube.y[-1] + moved
             low, high = low + self.tube.u[-1], high - self.tube.u[-1]
-        r = np.minimum(np.maximum(r, y_low), y_high)
+        r = np.minimum(np.maximum(r, y_low), y_high) if limited else r
         GQ = G.T @ self._Q
         H, f = GQ @ G + self._R, GQ @ (y0 - r) - self._R @ last
         H.flat[:: len(H) + 1] += TINY * np.trace(H) / len(H)
         u = np.linalg.solve(H, -f)
-        if np.any(u < low) or np.any(u > high):
+        if limited and (np.any(u < low) or np.any(u > high)):
             bounded = solved_by_daqp(Program(H, f, np.empty((0, len(u))), np.array(low), np.array(high)))
             u = np.minimum(np.maximum(u if bounded is None else bounded, low), high)
         return X @ u + x0, u, G @ u + y0
@@ -395,85 +483,6 @@ def _move_limits(program: Program, upper: np.ndarray, lower: np.ndarray) -> None
     rows = slice(len(program.lower) - len(both), None)
     program.upper[rows] += both  # infinite for the lower ones, and the other way round
     program.lower[rows] += both
-
-
-class _Along:
-    """The model along the schedule of the horizon; z = (x, d) is the observer's state."""
-
-    def __init__(self, law: MPC, path: np.ndarray):
-        self.path, self.at_inputs = path, law.observer.at_inputs
-        self.nx, self.nu, self.ny = law.model.order, len(law.actuated), len(law.measured)
-        # a term may see the schedule some samples late: before now it came the way it goes on
-        before = path[0] - np.multiply.outer(np.arange(law._latest, 0, -1), path[1] - path[0])
-        phi = law.model.basis(np.concatenate([np.clip(before, *ends(law.model.spans)), path]))
-        late = np.arange(len(path))[:, None] + law._latest - law._delays
-        weight = phi[late, law._functions]
-        self.M = weight @ law._flat
-        if law.tube is not None:
-            self.K = (weight @ law._flat_K).reshape(len(path), self.nx, self.ny)
-        self.u0, self.y0 = law.operating(path)
-
-    def matrices(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A, B, C of sample i."""
-        nx, nu = self.nx, self.nu
-        A, B, C = np.split(self.M[i], [nx * nx, nx * (nx + nu)])
-        return A.reshape(nx, nx), B.reshape(nx, nu), C.reshape(self.ny, nx)
-
-    def disturbances(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """At the inputs (nu,) and at the outputs (ny,)."""
-        d = z[self.nx :]
-        return (d, np.zeros(self.ny)) if self.at_inputs else (np.zeros(self.nu), d)
-
-    def pushed(self, u: np.ndarray) -> np.ndarray:
-        """B_i u_i, (N, nx)."""
-        B = self.M[: len(u), self.nx**2 : self.nx * (self.nx + self.nu)].reshape(-1, self.nx, self.nu)
-        return np.ascontiguousarray((B @ u[:, :, None])[:, :, 0])
-
-    def outputs(self, z: np.ndarray) -> np.ndarray:
-        """What is measured now at z."""
-        return self.matrices(0)[2] @ z[: self.nx] + self.disturbances(z)[1] + self.y0[0]
-
-    def under(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Outputs of samples 1 .. N, (N, ny), under a constant command."""
-        x, (d_in, d_out), found = z[: self.nx], self.disturbances(z), []
-        for i in range(len(self.path) - 1):
-            A, B, _ = self.matrices(i)
-            x = A @ x + B @ (u - self.u0[i] + d_in)
-            found.append(self.matrices(i + 1)[2] @ x + d_out + self.y0[i + 1])
-        return np.array(found)
-
-    def moved(self, z: np.ndarray, u: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """z at the next sample."""
-        A, B, _ = self.matrices(0)
-        x = A @ z[: self.nx] + B @ (u - self.u0[0] + self.disturbances(z)[0])
-        return np.concatenate([x, z[self.nx :]]) + push
-
-    def moved_by(self, e: np.ndarray) -> np.ndarray:
-        """What an error e of this sample's prediction moves (x, d) by on its way to the next."""
-        return np.concatenate([self.K[0] @ e, np.zeros(self.ny)])
-
-    def by_errors(self, d: np.ndarray) -> np.ndarray:
-        """What errors d of all samples to come move the outputs of samples 1 .. N by, (N, ny); this sample's is known."""
-        from controllers.condensing import carried
-
-        return carried(self.M, self.K, d)
-
-    def predictor_at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """(x, e) of the predictor of a machine that has stood at y under u."""
-        A, B, C = self.matrices(0)
-        own = y - self.y0[0]
-        x = np.linalg.solve(np.eye(self.nx) - A + self.K[0] @ C, B @ (u - self.u0[0]) + self.K[0] @ own)
-        return np.concatenate([x, own - C @ x])
-
-    def at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """z of a machine that stands at y under u."""
-        A, B, C = self.matrices(0)
-        own = u - self.u0[0]
-        if self.at_inputs:
-            X, U = rests(A, B, C, np.zeros((len(C), B.shape[1])))
-            return np.concatenate([X @ (y - self.y0[0]), U @ (y - self.y0[0]) - own])
-        moved = np.linalg.solve(np.eye(self.nx) - A, B)
-        return np.concatenate([moved @ own, y - self.y0[0] - C @ moved @ own])
 
 
 def default_weights(model: LPVModel, move: float = 0.003) -> Weights:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from controllers.compensation import ALONG, Compensated, compensated, moved_by
-from controllers.designs import ScheduledPIDDesign, command_limits, setpoint_of
+from controllers.designs import MPCDesign, ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
-from controllers.mpc import MPC, default_weights, design_mpc
+from controllers.mpc import MPC, design_mpc
 from controllers.nmpc import SOLVERS, design_nmpc
 from controllers.pictures import POINTS, design_pictures
 from controllers.pid_design import PIDDesign
@@ -35,7 +35,7 @@ from workbench.physics.linearised import linearised
 from workbench.provenance import provenance
 from workbench.report.blocks import Badge, Brief, Picture, Report, Section, Standing, Table
 from workbench.report.page import write_report
-from workbench.robustness.frozen import Margins, worst_margins
+from workbench.robustness.frozen import DEFAULT, Margins, worst_margins
 from workbench.sources import read
 from workbench.steady import rests
 from workbench.verification.trial import OVERSHOOT, Trial, tried
@@ -192,7 +192,6 @@ def _told(options: Namespace, trial: Trial, model: LPVModel, say: Say) -> int:
 def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, progress: Say) -> int:
     """Writes mpc.json or nmpc.json, with the model or the plant and the fallback law inside, and design.json."""
     chosen = _plant_of(options, kind)
-    weights = default_weights(model, options.move)
     errors = _errors_of(options, model, progress)
     keep = _ranges(options.keep, model)
     if options.fallback:
@@ -208,6 +207,9 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         progress("fallback law: scheduled PID")
         fallback = _wanted(options, "scheduled-pid" if model.schedules else "pid", model).design(model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
+    progress("the price of moves" if options.move is None else "weights")
+    bound = {} if options.sensitivity is None else {"sensitivity": options.sensitivity}
+    weights = MPCDesign(horizon=options.horizon, move=options.move, **bound).weights(model, fallback)
     common = {"horizon": options.horizon, "weights": weights, **limits}
     if chosen and kind == "nmpc":
         solver = SOLVERS[check_known("solver", options.solver, SOLVERS)]()
@@ -227,12 +229,24 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
             say(f"  {channel.name} is kept from {a:g} to {b:g} {channel.unit} where that can be done")
     _say_limits(law, model, say)
     tube = _say_tube(law, model, say) if isinstance(law, MPC) and law.tube is not None else {}
-    say("no margins are computed for a law that plans: try it with simulate --setpoint, and on a plant with --effect")
+    if isinstance(law, MPC):
+        progress("margins while no limit acts")
+        margins = worst_margins(law, [model], model.frozen_values(POINTS), scale=law.weights.outputs**-0.5)
+        _say_frozen(margins, model, say)
+        peaks = f"|S| at most {margins.sensitivity.max():.3f}, |T| at most {margins.complementary.max():.3f}"
+        over = f" over {len(margins.rho)} schedule values" * bool(model.schedules)
+        say(f"while no limit acts: {peaks}{over}")
+        _say_delay(margins, model, say)
+        _write_margins(margins, model, folder / "margins.csv")
+        say(f"margins -> {folder / 'margins.csv'}")
+    else:
+        say("no margins are computed of a law that predicts with the plant: try it with simulate --setpoint, and with --effect")
     if path:
         say(f"controller -> {path}")
     files = [*([options.fallback] if options.fallback else []), *(chosen.files if chosen else ()), *options.records]
     read = [options.model, *options.robust_to, *files]
     result = {"kind": kind, "weights": vars(law.weights), "trial": vars(trial)} | tube
+    result |= {"margins": vars(margins)} if isinstance(law, MPC) else {}
     return _finished(options, folder, path, result, read, say) or code
 
 
@@ -291,11 +305,11 @@ def _finished(options: Namespace, folder: Path, path: Path | None, result: dict,
 def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesign:
     """The design of the PID that the options ask for."""
     for name in ("sensitivity", "complementary", "effort"):
-        if not getattr(options, name) > 1.0:
+        if (given := getattr(options, name)) is not None and not given > 1.0:
             usual = "3 and more are" if name == "effort" else "1.2 to 2 is"
-            raise InputError(f"--{name} {getattr(options, name):g}", mend=f"no loop does with 1 or less; {usual} usual")
+            raise InputError(f"--{name} {given:g}", mend=f"no loop does with 1 or less; {usual} usual")
     return ScheduledPIDDesign(
-        options.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
+        options.sensitivity or DEFAULT.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
         filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
         moving=not options.fixed_gains,
@@ -460,15 +474,7 @@ def _described(model: LPVModel) -> str:
 
 def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> None:
     bounds = found.bounds
-    if model.schedules:
-        heads = "max |S|   max |T|   effort   bandwidth [rad/s]   delay margin [ms]   largest pole"
-        say(f"{'   '.join(f'{c.name} [{c.unit}]' for c in model.schedules)}   {heads}")
-        for i in _shown(over, model):
-            say(
-                f"{'   '.join(f'{v:<10.5g}' for v in np.atleast_1d(over.rho[i]))} {over.sensitivity[i]:8.3f} "
-                f"{over.complementary[i]:9.3f} {over.effort[i]:8.2f} {over.bandwidth[i]:12.2f} {1e3 * over.delay[i].min():19.1f} "
-                f"{over.radius[i]:18.4f}"
-            )
+    _say_frozen(over, model, say)
     say(_worst_said(found, over, model))
     if len(found.knots) > 1 or found.objective == "variance":
         share = (found.low_frequency / found.alone).min()
@@ -478,6 +484,23 @@ def _say_margins(found: PIDDesign, over: Margins, model: LPVModel, say: Say) -> 
             f"away from {model.named(found.knots[0])} the fixed law breaks its bounds at "
             f"{over.broken(bounds).sum()} of {len(over.rho)} schedule values: workbench design scheduled-pid keeps them"
         )
+    _say_delay(over, model, say)
+
+
+def _say_frozen(over: Margins, model: LPVModel, say: Say) -> None:
+    """A line of margins for some of the schedule values."""
+    if model.schedules:
+        heads = "max |S|   max |T|   effort   bandwidth [rad/s]   delay margin [ms]   largest pole"
+        say(f"{'   '.join(f'{c.name} [{c.unit}]' for c in model.schedules)}   {heads}")
+        for i in _shown(over, model):
+            say(
+                f"{'   '.join(f'{v:<10.5g}' for v in np.atleast_1d(over.rho[i]))} {over.sensitivity[i]:8.3f} "
+                f"{over.complementary[i]:9.3f} {over.effort[i]:8.2f} {over.bandwidth[i]:12.2f} {1e3 * over.delay[i].min():19.1f} "
+                f"{over.radius[i]:18.4f}"
+            )
+
+
+def _say_delay(over: Margins, model: LPVModel, say: Say) -> None:
     say(f"largest further delay of one command: {1e3 * over.delay.min():.0f} ms, {over.delay.min() / model.dt:.1f} samples")
     say("frozen margins hold while the schedule stands still or moves slowly against the bandwidth")
 

@@ -243,7 +243,11 @@ def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Sta
             "check-pid",
             ("check", "--controller", pid, "--limits", limits, "--model", model, "--records", *own, *machine, *tried),
         ),
-        Stage("check-mpc", ("check", "--controller", mpc, "--limits", limits, *machine, *(("--runs", "6") if quick else ()))),
+        Stage(
+            "check-mpc",
+            ("check", "--controller", mpc, "--limits", limits, "--model", model, "--records", *own, *machine,
+             *(("--nodes", "2", "--runs", "6") if quick else ())),
+        ),
     )  # fmt: skip
 
 

@@ -69,11 +69,11 @@ def _design(options: Namespace) -> list[str]:
     limits = {key: _numbers(getattr(options, key)) for key in ("setpoint", "low", "high", "rate") if getattr(options, key)}
     first = [f"model = wb.load_model({_text(options.model)})"]
     if options.kind == "mpc":
-        said = {"horizon": options.horizon, "move": options.move} | limits
+        said = {key: getattr(options, key) for key in ("horizon", "move", "sensitivity") if getattr(options, key)} | limits
         return ["from controllers import MPCDesign", *first, f"law = MPCDesign({_called([], said)}).on(model)"]
     if options.kind not in ("pid", "scheduled-pid"):
         return []
-    bounds = {key: f"{getattr(options, key):g}" for key in ("sensitivity", "complementary", "effort")}
+    bounds = {key: f"{own:g}" for key in ("sensitivity", "complementary", "effort") if (own := getattr(options, key))}
     knots = options.knots or ("1" if options.kind == "pid" else "")
     own = {"knots": f"[{knots}]" if "," in knots else knots} if knots else {}
     aim = {"objective": _text(options.objective)} if options.objective != "variance" else {}

@@ -8,7 +8,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from controllers import mpc as module
+from controllers.along import Along
 from controllers.condensing import condense
 from controllers.mpc import MPC, design_mpc
 from controllers.nmpc import Ipopt, design_nmpc
@@ -95,7 +95,7 @@ def test_condense_and_solve_against_cvxpy_with_parameters():
     stated, ours, theirs, evaluated, apart = InCVXPY(controller), [], [], [], []
     for n, (z, last, r, rho) in enumerate(cases(controller)):
         begin = time.perf_counter()
-        along = module._Along(controller, controller._path(rho, 1e-3))
+        along = Along(controller, controller._path(rho, 1e-3))
         middle = time.perf_counter()
         program = controller._program(last, along, z, np.tile(r, (N + 1, 1)))
         answer = solved_by_daqp(program)
@@ -136,7 +136,7 @@ def test_a_step_in_closed_loop():
 def test_condensing_alone():
     controller = law()
     z, last, r, rho = next(cases(controller))
-    along = module._Along(controller, controller._path(rho, 1e-3))
+    along = Along(controller, controller._path(rho, 1e-3))
     rest = (np.zeros((N, 7)), np.zeros((N + 1, 2)), z[:7].copy(), np.tile(r, (N + 1, 1)), last, (np.zeros(7), np.zeros(2)))
     weights = (controller._Q, controller._S, controller._R, controller.terminal_cost(rho))
     seconds = []
@@ -152,7 +152,7 @@ def in_do_mpc(controller: MPC, rho: float):
     do_mpc = pytest.importorskip("do_mpc", reason="pip install do-mpc")
     import casadi as ca
 
-    along, w = module._Along(controller, np.full(N + 1, rho)), controller.weights
+    along, w = Along(controller, np.full(N + 1, rho)), controller.weights
     A, B, C = along.matrices(0)
     stated = do_mpc.model.Model("discrete")
     x, u = stated.set_variable("_x", "x", (7, 1)), stated.set_variable("_u", "u", (2, 1))

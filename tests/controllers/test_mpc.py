@@ -10,6 +10,7 @@ from scipy.optimize import lsq_linear
 
 from controllers import mpc as module
 from controllers import receding
+from controllers.along import Along
 from controllers.condensing import condense
 from controllers.mpc import MPC, Extrapolated, Held, design_mpc
 from controllers.observer import design_observer
@@ -123,7 +124,7 @@ def test_without_active_limits_it_is_the_regulator_of_python_control(horizon, in
     random = np.random.default_rng(2)
     for _ in range(5):
         z, last, r = random.normal(size=5), random.normal(size=2), random.normal((5.0, 1.0))
-        along, state = module._Along(controller, controller._path(rho, 0.0)), controller.init(last)
+        along, state = Along(controller, controller._path(rho, 0.0)), controller.init(last)
         plan, status = controller._solved(controller._program(state.u, along, z, np.tile(r, (horizon + 1, 1))))
         xt, ut, _ = controller._target(last, along, z, r)
         expected = last - F @ np.concatenate([z[:3] - xt, last - ut])
@@ -135,7 +136,7 @@ def test_without_active_limits_it_is_the_regulator_of_python_control(horizon, in
 def stated_in_cvxpy(controller, state, z, r, path):
     """The same problem with states and slacks as variables, as it stands in the module's docstring; the commands."""
     model, N, w = controller.model, controller.horizon, controller.weights
-    nx, along = model.order, module._Along(controller, path)
+    nx, along = model.order, Along(controller, path)
     xt, ut, yt = controller._target(state.u, along, z, r)
     now = model.freeze(path[0])[2] @ z[:nx] + [5.0, 1.0]
     way = z[:nx]  # under the command of the steady state, of which what is beyond its limit now asks no more
@@ -176,7 +177,7 @@ def test_the_first_move_is_that_of_cvxpy_and_clarabel():
         state = controller.init(random.uniform(-1.0, 1.0, 2))
         r, rho, slope = random.uniform((3.0, -1.0), (7.0, 3.0)), random.uniform(1.0, 1.8), 0.01
         path = controller._path(rho, slope)
-        program = controller._program(state.u, module._Along(controller, path), z, np.tile(r, (13, 1)))
+        program = controller._program(state.u, Along(controller, path), z, np.tile(r, (13, 1)))
         plan, _ = controller._solved(program)
         np.testing.assert_allclose(plan[0], stated_in_cvxpy(controller, state, z, r, path)[0], atol=3e-5)
         room = np.minimum(controller.high - plan, plan - controller.low)
@@ -190,7 +191,7 @@ def test_a_limit_that_is_hardly_exceeded_is_hardly_moved(monkeypatch):
     give_way, moved = MPC._give_way, []
     for _ in range(60):
         z, last = random.normal(size=5) * [0.4, 0.4, 0.4, 0.5, 0.5], random.uniform(-1.0, 1.0, 2)
-        along = module._Along(controller, controller._path(1.3, 0.0))
+        along = Along(controller, controller._path(1.3, 0.0))
         excess = np.maximum(along.outputs(z) - controller.y_high, 0.0)
         programs = []
         for way in (give_way, lambda *_: None):
@@ -210,7 +211,7 @@ def test_both_solvers_give_one_answer():
     random = np.random.default_rng(4)
     for _ in range(10):
         last, z = random.uniform(-1, 1, 2), random.normal(size=5)
-        along = module._Along(controller, controller._path(1.3, 0.0))
+        along = Along(controller, controller._path(1.3, 0.0))
         program = controller._program(last, along, z, np.tile([6.0, 2.0], (21, 1)))
         one, other = receding.solved_by_daqp(program), receding.solved_by_clarabel(program)
         np.testing.assert_allclose(one[:2], other[:2], atol=1e-4)

@@ -5,6 +5,7 @@ import pytest
 
 from controllers import mpc as module
 from controllers import receding
+from controllers.along import Along
 from controllers.mpc import MPC, Held, design_mpc
 from controllers.pid import pid
 from controllers.receding import Status, Weights
@@ -120,7 +121,7 @@ def test_a_violated_output_limit_costs_what_is_said(outputs, z):
     controller = law(horizon=8, weights=weights, y_low=np.array([4.9, -9.0]), y_high=np.array([9.0, 1.2]), prediction=Held())
     z, last, r = np.array(z), np.array([0.2, 0.3]), np.array([4.5, 1.6])
     path, state = controller._path(1.3, 0.0), controller.init(last)
-    program = controller._program(last, module._Along(controller, path), z, np.tile(r, (9, 1)))
+    program = controller._program(last, Along(controller, path), z, np.tile(r, (9, 1)))
     slack = receding.solved_by_daqp(program)[16:]
     assert (slack > 0.05).all()
     plan, status = controller._solved(program)

@@ -10,6 +10,7 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.lpv import LPVModel, check_schedule_from_outside, lattice
 from workbench.physics.controller import Controller, Loop, schedules_of, stepped
+from workbench.records import field, record
 from workbench.units import check_law_units
 
 COMPARED, SAME_ANSWER = 12, 1e-6  # samples at which law and linear form are compared; of an answer, how far they may differ
@@ -18,8 +19,29 @@ HUGE, SMALL = 1e6, (1e-6, 1e-9)  # the room of what has no limits, and shares of
 FEW = 3  # schedule values at which they are compared at least
 
 
+@record
+class Affine:
+    """A law at a schedule value: x+ = A x + B (r, y) + a, u = C x + D (r, y) + o, while low <= W x + V (r, y) + w <= high."""
+
+    A: np.ndarray = field("n n")
+    B: np.ndarray = field("n i")
+    a: np.ndarray = field("n")
+    C: np.ndarray = field("nu n")
+    D: np.ndarray = field("nu i")
+    o: np.ndarray = field("nu")
+    W: np.ndarray = field("k n")
+    V: np.ndarray = field("k i")
+    w: np.ndarray = field("k")
+    low: np.ndarray = field("k", low=-np.inf)
+    high: np.ndarray = field("k")
+
+
 class LinearLaw(Loop, Protocol):
-    """A sampled law that is linear where the schedule stands still."""
+    """A sampled law that is linear where the schedule stands still.
+
+    A law whose memory moves of itself, or that plans within limits, has methods `affine(rho, slope)`, `memory(state)` and
+    `slopes(rho)` besides (`controllers.mpc`).
+    """
 
     def at(self, rho: Any) -> Any:
         """python-control system from (r, y) to u less its offset; its state keeps its meaning while the schedule moves.
@@ -45,6 +67,18 @@ class LinearLaw(Loop, Protocol):
     def span(self) -> np.ndarray:
         """Between which the schedule changes the law, (2,), (ns, 2) of several variables; infinite without one."""
         ...
+
+
+def affine_of(law: LinearLaw, rho: Any, slope: Any = 0.0) -> Affine:
+    """The law at a schedule value that moves by `slope` a sample; without rows where nothing but its own limits ends it."""
+    if hasattr(law, "affine"):
+        return law.affine(rho, slope)  # type: ignore[attr-defined]
+    system = law.at(rho)
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
+    none = np.empty(0)
+    return Affine(
+        A, B, np.zeros(len(A)), C, D, law.offset(rho), np.empty((0, len(A))), np.empty((0, B.shape[1])), none, none, none
+    )
 
 
 def slews(law: Any) -> np.ndarray:
@@ -84,7 +118,7 @@ def without_linear_form(law: Any, values: Sequence[Any] = ()) -> str:
     own = lattice(np.reshape(law.span, (-1, 2)), FEW) if names else np.empty(0)
     for rho in np.unique(np.concatenate([own, np.reshape(values, (-1, *own.shape[1:]))]), axis=0) if names else [None]:
         try:
-            off = _apart(_unlimited(law), rho)
+            off = _apart_from_plan(law, rho) if hasattr(law, "affine") else _apart(_unlimited(law), rho)
         except Exception as reason:
             off = f"{type(reason).__name__}: {reason}"
         if off:
@@ -151,6 +185,53 @@ def _apart(law: Any, rho: Any) -> str:
         if np.any(off > SAME_ANSWER * most):
             return f"to samples about {size:.2g} in size it answers otherwise, by {np.max(off / most):.2g} of the answer"
     return ""
+
+
+def _apart_from_plan(law: Any, rho: Any) -> str:
+    """How a law that plans and its affine form differ where the schedule stands still and the plan keeps its limits; "" where
+    they do not. It stands between its limits first, and is then given samples that take the plan close to them.
+    """
+    own, random = law.affine(rho), np.random.default_rng(0)
+    base = _between(getattr(law, "y_low", np.full(len(law.measured), -np.inf)), getattr(law, "y_high", np.inf))
+    still, state = np.concatenate([base, base]), law.init(_between(law.low, law.high))
+    for _ in range(COMPARED):
+        _, state = stepped(law, state, base, base, rho)
+    x0 = law.memory(state)
+    rows, push = own.W @ x0 + own.V @ still + own.w, random.normal(size=(COMPARED, len(still)))
+    if not np.all((own.low < rows) & (rows < own.high)):
+        return "its plan stays at its limits"
+    x, answer, moved = np.zeros(len(x0)), [], [np.full(len(rows), 1e-300)]
+    for each in push:
+        answer.append(own.C @ x + own.D @ each)
+        moved.append(np.abs(own.W @ x + own.V @ each))
+        x = own.A @ x + own.B @ each
+    room = np.minimum(own.high - rows, rows - own.low) / np.max(moved, axis=0)
+    largest = float(np.min(room, initial=HUGE))
+    for share in (*SHARES, *(SMALL if largest >= HUGE else ())):
+        size, x, memory = share * largest, x0, state
+        for k, each in enumerate(push):
+            sample = still + size * each
+            u, memory = stepped(law, memory, sample[: len(base)], sample[len(base) :], rho)
+            expected = own.C @ x + own.D @ sample + own.o
+            most = size * np.abs(answer).max(axis=0) + 1e-3 * np.abs(expected) + 1e-6
+            if np.any(np.abs(u - expected) > SAME_ANSWER * most):
+                return (
+                    f"to samples about {size:.2g} in size it answers {u.tolist()} after {k + 1} of them, not {expected.tolist()}"
+                )
+            x = own.A @ x + own.B @ sample + own.a
+    return ""
+
+
+def _between(low: Any, high: Any) -> np.ndarray:
+    """Values between limits: their middle, 1 or as much as a limit inside where there is one, else 0."""
+    low, high = np.broadcast_arrays(np.asarray(low, dtype=float), np.asarray(high, dtype=float))
+    found = np.zeros(len(low))
+    below, above = np.isfinite(low), np.isfinite(high)
+    found[below] = low[below] + np.maximum(1.0, np.abs(low[below]))
+    found[above] = high[above] - np.maximum(1.0, np.abs(high[above]))
+    both = below & above
+    found[both] = 0.5 * (low[both] + high[both])
+    return found
 
 
 def _led_inside(

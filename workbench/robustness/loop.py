@@ -16,12 +16,13 @@ from workbench.intervals.model import IntervalModel
 from workbench.lpv import LPVModel
 from workbench.records import field, record
 from workbench.robustness.envelopes.course import Course
-from workbench.robustness.linear_law import LinearLaw, check_law, slews
+from workbench.robustness.linear_law import LinearLaw, affine_of, check_law, slews
 from workbench.robustness.machine import Machine, machine_of, machines_along
 from workbench.robustness.rests import Rest
 from workbench.robustness.uncertain import UncertainLoop
 
 RATE_OF = "rate of "
+PLANNED = "planned"
 
 
 @record
@@ -84,14 +85,17 @@ def close(models: Sequence[IntervalModel], law: LinearLaw, rho: float | None = N
     return driven(machine_of(models, law, rho), law, rho).undriven()
 
 
-def driven(machine: Machine, law: LinearLaw, rho: Any = None) -> DrivenLoop:
-    """The machine under the law at one schedule value. Raises InputError for a law of another sample time."""
+def driven(machine: Machine, law: LinearLaw, rho: Any = None, slope: Any = 0.0) -> DrivenLoop:
+    """The machine under the law at one schedule value, which moves by `slope` a sample.
+
+    The rows of a law that plans within limits are among its signals, as "planned ..". Raises InputError for a law of another
+    sample time.
+    """
     if abs(law.dt - machine.dt) > SAME_DT * machine.dt:
         mend = "design one on this model"
         raise InputError(f"{law.name} is sampled every {law.dt:g} s, the model every {machine.dt:g} s", file=law.name, mend=mend)
-    system = law.at(rho)
-    Ac, Bc, Cc, Dc = (np.asarray(M, dtype=float) for M in (system.A, system.B, system.C, system.D))
-    nr, nc = len(law.references), len(Ac)
+    own = affine_of(law, rho, slope)
+    nr, nc = len(law.references), len(own.A)
     y = [machine.outputs.index(name) for name in law.measured]
     u = [machine.inputs.index(name) for name in law.actuated]
     n, ny = machine.By.shape
@@ -101,14 +105,18 @@ def driven(machine: Machine, law: LinearLaw, rho: Any = None) -> DrivenLoop:
     r, one = np.eye(nr, n + nc + nr + 1 + ny, k=n + nc), np.eye(1, n + nc + nr + 1 + ny, k=n + nc + nr)
     outputs = machine.C @ s + np.outer(machine.c, one) + np.eye(ny, n + nc + nr + 1 + ny, k=n + nc + nr + 1)
     seen = np.vstack([r, outputs[y]])
-    commands = Cc @ memory + Dc @ seen + np.outer(law.offset(rho), one)
+    commands = own.C @ memory + own.D @ seen + np.outer(own.o, one)
+    planned = own.W @ memory + own.V @ seen + np.outer(own.w, one)
     held = np.outer(machine.a + machine.Bu[:, left] @ machine.rest[left], one)
     after = machine.A @ s + machine.Bu[:, u] @ commands + machine.By @ outputs + held
-    x, watched = np.vstack([after, Ac @ memory + Bc @ seen]), np.vstack([outputs[y], commands])
+    x, watched = (
+        np.vstack([after, own.A @ memory + own.B @ seen + np.outer(own.a, one)]),
+        np.vstack([outputs[y], commands, planned]),
+    )
     z = machine.T @ s + np.outer(machine.t, one)
     cut = np.cumsum([n + nc, nr + 1])
     (A, G, B), (E, H, F), (C, J, _) = (np.split(rows, cut, axis=1) for rows in (x, watched, z))
-    signals = (*law.measured, *law.actuated)
+    signals = (*law.measured, *law.actuated, *(f"{PLANNED} {i}" for i in range(len(planned))))
     return DrivenLoop(A, G, B, E, H, F, C, J, machine.lam, machine.channel, machine.parameters, signals, law.dt)
 
 
@@ -196,9 +204,9 @@ def course_of(
         references = law.slewed(references, ends[:, 0])  # type: ignore[attr-defined]
     still = not np.ptp(rho, axis=0).any()
     values = rho[:1] if still else rho
-    loops = []
-    for machine, value in zip(machines_along(model, errors, values), values, strict=True):
-        loop = driven(machine, law, value if law.schedule else None)
+    loops, slopes = [], law.slopes(values) if hasattr(law, "slopes") else np.zeros_like(values)  # type: ignore[attr-defined]
+    for machine, value, slope in zip(machines_along(model, errors, values), values, slopes, strict=True):
+        loop = driven(machine, law, value if law.schedule else None, slope)
         loops.append(with_rates(loop if noise else loop.quiet(), rates))
     return course(loops, references, ends)
 

@@ -27,6 +27,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -151,6 +152,18 @@ class Bound:
 
 
 @record
+class Region:
+    """low <= signals <= high at every sample (k): within it the law is linear."""
+
+    signals: tuple[str, ...]
+    low: np.ndarray = field("k", low=-np.inf)
+    high: np.ndarray = field("k", high=np.inf)
+
+
+NOWHERE_ELSE = Region((), np.empty(0), np.empty(0))
+
+
+@record
 class Tried:
     """Runs v (R N s) under parameters delta (R N p), from the states start (R n).
 
@@ -192,6 +205,7 @@ def bounds_kept(
     bounds: Sequence[Bound],
     stops: Sequence[Bound] = (),
     *,
+    region: Region = NOWHERE_ELSE,
     of: str,
     dt: float,
     possible: np.ndarray | None = None,
@@ -200,7 +214,8 @@ def bounds_kept(
 ) -> list[Kept]:
     """A verdict on every bound over all parameters within their boxes and all starts of the course, samples dt [s] apart.
 
-    stops: of the commands, within which the law is linear. From where it is not proved that they are kept nothing else is.
+    stops: of the commands, within which the law is linear; region: of what a law plans. From where it is not proved that they are
+    kept nothing else is.
     possible (R p): constant parameters of the boxes that may be the machine's, and refute, each from its own rest. moving, or
     possible None: sequences within the boxes refute too, and nothing is proved for constant parameters alone. Raises InputError
     for a bound that asks nothing.
@@ -209,18 +224,19 @@ def bounds_kept(
         if not (np.isfinite(bound.low) | np.isfinite(bound.high)).any():
             raise InputError("asks nothing within the run", file=bound.claim, mend="a longer run, or an earlier begin")
     outer, of_constant, found = kernel(course), None, []
-    of_any = _proved(course, outer, stops, of, dt, False, progress)
+    linear = _Linear(tuple(stops), region)
+    of_any = _proved(course, outer, linear, of, dt, False, progress)
     still = None if possible is None else _constant_runs(course, possible)
     for bound in bounds:
         progress(bound.claim)
         furthest = tried = _moving_runs(course, outer.nominal.v, bound)
         if still is not None:
-            tried = _with_noise(course, still, bound, stops)
+            tried = _with_noise(course, still, bound, linear)
             furthest = furthest.beside(tried)
         tried = furthest if moving else tried
         kept = _judged(of_any, bound, tried, furthest)
         if kept.verdict.status is Status.UNDECIDED and tried is not furthest:
-            of_constant = of_constant or _proved(course, constant(course, outer), stops, of, dt, True, progress)
+            of_constant = of_constant or _proved(course, constant(course, outer), linear, of, dt, True, progress)
             kept = _judged(of_constant, bound, tried, furthest)
         found.append(kept)
     return found
@@ -263,10 +279,10 @@ def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
     return Tried(replay(course, every, start), every, np.where(begins, own, 0.0), np.where(begins, share, 0.0), start)
 
 
-def _with_noise(course: Course, constant: Tried, bound: Bound, stops: Sequence[Bound]) -> Tried:
+def _with_noise(course: Course, constant: Tried, bound: Bound, linear: "_Linear") -> Tried:
     """The constant run that comes nearest to a bound, and the worst errors on top of it."""
     i = course.number(bound.signal)
-    excess = _excess(constant.v, bound, i, _linear_until(course, constant.v, stops))
+    excess = _excess(constant.v, bound, i, linear.until(course, constant.v))
     best = constant.row(int(excess.max(axis=1).argmax()))
     if not _noisy(course):
         return best
@@ -307,6 +323,27 @@ def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:
     return until
 
 
+class _Linear(NamedTuple):
+    """What ends the linear law: stops of commands, and the region of what it plans."""
+
+    stops: tuple[Bound, ...]
+    region: Region
+
+    def until(self, course: Course, v: np.ndarray) -> np.ndarray:
+        """The first sample (R) of runs v (R N s) that is not the linear law's; after that the run is not either."""
+        own = v[:, :, [course.number(name) for name in self.region.signals]]
+        beyond = np.any((own < self.region.low) | (own > self.region.high), axis=2)
+        for stop in self.stops:
+            command = v[:, :, course.number(stop.signal)]
+            beyond = beyond | (command < stop.low) | (command > stop.high)
+        return np.array([_first(beyond[row]) for row in range(len(v))], dtype=int)
+
+
+def _first(at: Any) -> int:
+    """The first sample of (N,) at which something is; N where it never is."""
+    return int(at.argmax()) if at.any() else len(at)
+
+
 @record
 class _Proved:
     """What the verdicts of one course share: the kernel around all runs, if `constant` around those whose parameters stand still,
@@ -316,20 +353,22 @@ class _Proved:
     course: Course
     outer: Kernel
     free: int
-    stops: tuple[Bound, ...]
+    linear: _Linear
     of: str
     dt: float
     constant: bool
 
 
 def _proved(
-    course: Course, outer: Kernel, stops: Sequence[Bound], of: str, dt: float, constant: bool, progress: Callable[[str], None]
+    course: Course, outer: Kernel, linear: _Linear, of: str, dt: float, constant: bool, progress: Callable[[str], None]
 ) -> _Proved:
-    free = len(course)
-    for stop in stops:
+    own = [course.number(name) for name in linear.region.signals]
+    within = (outer.low[:, own] >= linear.region.low) & (outer.high[:, own] <= linear.region.high)
+    free = _first(~np.all(within, axis=1))
+    for stop in linear.stops:
         progress(stop.claim)
         free = min(free, _proved_until(course, outer, stop))
-    return _Proved(course, outer, free, tuple(stops), of, dt, constant)
+    return _Proved(course, outer, free, linear, of, dt, constant)
 
 
 def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kept:
@@ -337,7 +376,7 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kep
     course, outer, free, dt = proved.course, proved.outer, proved.free, proved.dt
     until = _proved_until(course, outer, bound)
     i, unit = course.number(bound.signal), bound.unit
-    excess = _excess(tried.v, bound, i, _linear_until(course, tried.v, proved.stops))
+    excess = _excess(tried.v, bound, i, proved.linear.until(course, tried.v))
     row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
     reached = float(excess[row, k])
     beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())
@@ -391,13 +430,3 @@ def _tried(reached: float, beyond: float, unit: str) -> str:
 
 def _beside(beyond: float, unit: str) -> str:
     return f"{'leave' if beyond <= 0.0 else 'go beyond it by'} {abs(beyond):.3g} {unit}"
-
-
-def _linear_until(course: Course, v: np.ndarray, stops: Sequence[Bound]) -> np.ndarray:
-    """The first sample (R) of runs v (R N s) at which a command is beyond its stop; after that the run is not the law's."""
-    until = np.full(len(v), len(course))
-    for stop in stops:
-        own = v[:, :, course.number(stop.signal)]
-        beyond = (own < stop.low) | (own > stop.high)
-        until = np.minimum(until, np.where(beyond.any(axis=1), beyond.argmax(axis=1), len(course)))
-    return until

@@ -28,14 +28,14 @@ from workbench.robustness.falsify.counterexample import same
 from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, settled
-from workbench.robustness.linear_law import LinearLaw, check_law, without_linear_form
-from workbench.robustness.loop import RATE_OF, driven, interpolated
+from workbench.robustness.linear_law import LinearLaw, affine_of, check_law, without_linear_form
+from workbench.robustness.loop import PLANNED, RATE_OF, driven, interpolated
 from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Falsified, Margin, margin
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, Witness, sequence_of
 from workbench.robustness.uncertain import UncertainLoop
-from workbench.robustness.verdict import GROWS, Bound, Kept, Status, Verdict, bounds_kept, refuting, stability
+from workbench.robustness.verdict import GROWS, Bound, Kept, Region, Status, Verdict, bounds_kept, refuting, stability
 from workbench.simulation import simulate
 from workbench.verification.part import FROZEN, Part
 
@@ -326,14 +326,18 @@ def _bounds(found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, run: 
     if clipped:
         said = "the law itself never commands beyond it"
         found.verdicts.append(Verdict(", ".join(bound.claim for bound in clipped), of, Status.PROVED, 0.0, "", said))
-    stops, model = _stops(law, left.model, len(run.references)), left.model
+    form, model = affine_of(law, run.rho[0] if law.schedule else None), left.model
+    region = Region(tuple(f"{PLANNED} {i}" for i in range(len(form.w))), form.low, form.high)
+    stops = _stops(law, model, len(run.references)) if not len(form.w) else []  # a law that plans has them in its plan
     rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE_OF) for b in (*wanted, *stops) if b.signal.startswith(RATE_OF)))
     noise = limits.run.seed is not None
     passage = Passage(model, left.errors, content_of(law), run.rho, run.references, run.initial, noise, rates)
     progress("the loop along the run")
     try:
         own = passage.course(law)
-        kept = bounds_kept(own, wanted, stops, of=of, dt=law.dt, possible=left.possible, moving=limits.moving, progress=progress)
+        kept = bounds_kept(
+            own, wanted, stops, region=region, of=of, dt=law.dt, possible=left.possible, moving=limits.moving, progress=progress
+        )
     except InputError as reason:
         found.verdicts.extend(
             Verdict(bound.claim, of, Status.UNDECIDED, math.nan, bound.unit, reason.problem) for bound in wanted

@@ -221,7 +221,7 @@ def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, n
 
 def _settling(law: Any, model: LPVModel, step: np.ndarray) -> int:
     """Samples in which the slowest frozen loop settles after steps (nr,) of its set-points, however late it lets them arrive."""
-    planned = not hasattr(law, "at")
+    planned = hasattr(law, "fallback")
     linear, slowest = getattr(law, "fallback", law), 0.0
     if not without_linear_form(getattr(linear, "uncompensated", linear)):
         for rho in model.frozen_values(POINTS):
