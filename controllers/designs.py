@@ -27,7 +27,7 @@ from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
 from workbench.robustness.frequency import peak
-from workbench.robustness.frozen import Bounds, closed_loop
+from workbench.robustness.frozen import DEFAULT, Bounds, closed_loop
 from workbench.steady import dying
 from workbench.verification.trial import BAND, LONGEST, OVERSHOOT, SETTLED, Trial, tried
 
@@ -42,7 +42,7 @@ SLOWER = 4  # runs at most, each with reference models half as fast where the on
 MOVED = 1.0 + 1e-6  # times what the set-point itself would move a command by, that a reference model may
 SUSTAINED = 0.8  # of the limits of commands, that an output of a model that integrates is moved with
 PRICES = tuple(3e-3 * 10 ** np.linspace(0.0, 4.0, 33))  # of moves of an MPC, that are tried
-COARSER = 4  # of them, one in so many where none keeps the bound
+COARSER = 4  # of them, one in so many first
 NOTHING = 1e-3  # of what the proportional part makes of an error of a sample's move: a smaller feedforward of a rate is none
 LATER = 1.5  # times as late as the best, from where on slower ones are not tried
 ALIKE = 0.02, 1.1  # of a step, overshoots that differ by less; times to settle that differ by a factor of less
@@ -292,7 +292,7 @@ class MPCDesign:
 
     horizon: int = 20
     move: float | None = None
-    sensitivity: float = field("", low=1.0 + 1e-9, default=2.0)
+    sensitivity: float = field("", low=1.0 + 1e-9, default=DEFAULT.sensitivity)
     low: Numbers = field(default_factory=dict)
     high: Numbers = field(default_factory=dict)
     rate: Numbers = field(default_factory=dict)
@@ -332,7 +332,7 @@ class MPCDesign:
     def weights(self, model: LPVModel, fallback: ScheduledPID) -> Weights:
         """What outputs and moves count: at the price of moves that was asked for, or the lowest that keeps |S| within bounds.
 
-        |S| falls where moves cost more. Where no price keeps it, that of the least |S|.
+        Where no price keeps it, that of the least |S|.
         """
         if self.move is not None:
             return default_weights(model, self.move)
@@ -344,15 +344,11 @@ class MPCDesign:
             loops = [closed_loop(law, model, rho).input_sensitivity for rho in grid]
             return max(peak(S).gain if S.stable else np.inf for S in loops)
 
-        low, high = 0, len(PRICES) - 1
-        if largest(PRICES[low]) <= self.sensitivity:
-            return default_weights(model, PRICES[low])
-        if largest(PRICES[high]) > self.sensitivity:
+        high = next((i for i in range(0, len(PRICES), COARSER) if largest(PRICES[i]) <= self.sensitivity), None)
+        if high is None:
             return default_weights(model, min(PRICES[::COARSER], key=largest))
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if largest(PRICES[middle]) <= self.sensitivity else (middle, high)
-        return default_weights(model, PRICES[high])
+        between = PRICES[max(0, high - COARSER + 1) : high + 1]
+        return default_weights(model, next(price for price in between if largest(price) <= self.sensitivity))
 
 
 def _check_model(model: Any) -> None:

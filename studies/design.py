@@ -35,7 +35,7 @@ from workbench.physics.linearised import linearised
 from workbench.provenance import provenance
 from workbench.report.blocks import Badge, Brief, Picture, Report, Section, Standing, Table
 from workbench.report.page import write_report
-from workbench.robustness.frozen import DEFAULT, Margins, worst_margins
+from workbench.robustness.frozen import Margins, worst_margins
 from workbench.sources import read
 from workbench.steady import rests
 from workbench.verification.trial import OVERSHOOT, Trial, tried
@@ -208,8 +208,8 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         fallback = _wanted(options, "scheduled-pid" if model.schedules else "pid", model).design(model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
     progress("the price of moves" if options.move is None else "weights")
-    bound = {} if options.sensitivity is None else {"sensitivity": options.sensitivity}
-    weights = MPCDesign(horizon=options.horizon, move=options.move, **bound).weights(model, fallback)
+    wanted = MPCDesign(horizon=options.horizon, move=options.move, sensitivity=_above_one(options, "sensitivity"))
+    weights = wanted.weights(model, fallback)
     common = {"horizon": options.horizon, "weights": weights, **limits}
     if chosen and kind == "nmpc":
         solver = SOLVERS[check_known("solver", options.solver, SOLVERS)]()
@@ -302,14 +302,19 @@ def _finished(options: Namespace, folder: Path, path: Path | None, result: dict,
     return 0
 
 
+def _above_one(options: Namespace, name: str) -> float:
+    """A bound of margins as it was asked for."""
+    if not (given := getattr(options, name)) > 1.0:
+        usual = "3 and more are" if name == "effort" else "1.2 to 2 is"
+        raise InputError(f"--{name} {given:g}", mend=f"no loop does with 1 or less; {usual} usual")
+    return given
+
+
 def _wanted(options: Namespace, kind: str, model: LPVModel) -> ScheduledPIDDesign:
     """The design of the PID that the options ask for."""
-    for name in ("sensitivity", "complementary", "effort"):
-        if (given := getattr(options, name)) is not None and not given > 1.0:
-            usual = "3 and more are" if name == "effort" else "1.2 to 2 is"
-            raise InputError(f"--{name} {given:g}", mend=f"no loop does with 1 or less; {usual} usual")
+    bounds = [_above_one(options, name) for name in ("sensitivity", "complementary", "effort")]
     return ScheduledPIDDesign(
-        options.sensitivity or DEFAULT.sensitivity, options.complementary, options.effort, knots=_knots(options, kind, model),
+        *bounds, knots=_knots(options, kind, model),
         **_limited(options), setpoint=_given(options.setpoint), derivative=not options.no_derivative,
         filter=options.filter, setpoint_weight=options.setpoint_weight, feedforward=not options.no_feedforward,
         moving=not options.fixed_gains,

@@ -148,7 +148,7 @@ def _design(sub: argparse.ArgumentParser) -> None:
     knots = "scheduled-pid: schedule values with own gains (default 5), of several variables for all or for each (default 3)"
     sub.add_argument("--knots", metavar="N[,N..]", help=knots)
     sub.add_argument("--at", metavar="RHO", help="pid: schedule value it is made for (default: the middle)")
-    sub.add_argument("--sensitivity", type=float, metavar="MS", help="largest sensitivity |S| (default 1.6, of an MPC 2)")
+    sub.add_argument("--sensitivity", type=float, default=1.6, metavar="MS", help="largest sensitivity |S| (default 1.6)")
     sub.add_argument("--complementary", type=float, default=1.6, metavar="MT", help="largest |T| (default 1.6)")
     sub.add_argument(
         "--effort", type=float, default=3.0, metavar="M", help="largest control effort, in the least that is needed (default 3)"

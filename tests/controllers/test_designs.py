@@ -10,14 +10,17 @@ from scipy.linalg import expm
 
 import controllers
 from controllers import MPC, MPCDesign, ScheduledPID, ScheduledPIDDesign, load_controller
-from controllers.designs import _answered
+from controllers.designs import PRICES, _answered
+from controllers.mpc import default_weights, design_mpc
+from controllers.pid import pid
 from studies.cli import main
-from workbench.basis import CONSTANT
+from workbench.basis import CONSTANT, PiecewiseLinear
 from workbench.data import Channel
 from workbench.errors import InputError, NotHandedOutError
 from workbench.identification.lti import LTI
-from workbench.lpv import OperatingPoint, constant_model
+from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term, constant_model
 from workbench.physics.controller import check_controller
+from workbench.robustness.frozen import worst_margins
 from workbench.sources import read
 from workbench.verification.trial import Trial
 
@@ -57,6 +60,7 @@ def test_a_design_is_the_controller_that_the_command_writes(model, law, tmp_path
     assert isinstance(mpc, MPC)
     for key in ("low", "high", "rate", "y_low", "y_high", "horizon"):
         np.testing.assert_array_equal(getattr(mpc, key), getattr(other, key))
+    np.testing.assert_array_equal(mpc.weights.moves, other.weights.moves)
     assert json.dumps(mpc.fallback.to_dict(), default=list) == json.dumps(other.fallback.to_dict(), default=list)
 
 
@@ -388,3 +392,58 @@ def test_a_quiet_sensor_beside_a_noisy_one_does_not_end_the_integral_action():
         found = ScheduledPIDDesign().design(model)
         shares.append((found.low_frequency / found.alone)[0])
     assert min(shares) > 0.05
+
+
+def drawn(seed):
+    """A model of two inputs and outputs and four states, whose gains change over a schedule."""
+    random = np.random.default_rng(seed)
+    A, C, first = np.diag(random.uniform(0.5, 0.98, 4)), random.normal(size=(2, 4)), random.normal(size=(4, 2))
+    B = np.stack([first, first * random.uniform(0.7, 1.5, (4, 2))])
+    two, point = np.stack([A, A]), OperatingPoint(CONSTANT, u=[[0.0, 0.0]], y=[[0.0, 0.0]])
+    K = 0.1 * C.T
+    return LPVModel(
+        "drawn", 0.1, tuple(Channel(u, "V", "input") for u in "ab"), tuple(Channel(y, "m", "output") for y in "cd"),
+        (Channel("s", "", "schedule"),), [[0.0, 1.0]], PiecewiseLinear((0.0, 1.0)), (Term(0), Term(1)), two, B,
+        np.stack([C, C]), np.zeros((2, 2, 2)), point, Predictor(two - K @ C, B, np.stack([K, K])), 1e-2 * np.eye(2),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_moves_of_an_mpc_cost_as_little_as_its_sensitivity_allows(seed):
+    """At that price |S| keeps the bound over the schedule, and at lower ones it does not."""
+    model = drawn(seed)
+    fallback, grid = pid(("a", "b"), ("c", "d"), ("c_set", "d_set"), 0.1, np.zeros(2), np.full(2, 1e-3)), model.frozen_values(25)
+
+    def largest(weights):
+        return worst_margins(design_mpc(model, fallback, weights=weights), [model], grid).sensitivity.max()
+
+    most, least = (worst(largest(default_weights(model, price)) for price in PRICES[::8]) for worst in (max, min))
+    for bound in (0.7 * most + 0.3 * least, 0.3 * most + 0.7 * least, 1.001 * most):
+        weights = MPCDesign(sensitivity=bound).weights(model, fallback)
+        number = PRICES.index(float(weights.moves[0]))
+        assert largest(weights) <= 1.02 * bound
+        for lower in {*range(0, number, 8), max(0, number - 1)} - {number}:
+            assert largest(default_weights(model, PRICES[lower])) > 0.99 * bound
+    assert MPCDesign(move=0.2).weights(model, fallback).moves == pytest.approx([0.2, 0.2])
+
+
+def test_where_no_price_keeps_the_sensitivity_the_least_is_taken():
+    """An unstable plant: |S| is above 1.2 whatever the moves cost."""
+    unstable = constant_model(
+        "runaway", 0.1, ((Channel("u", "V", "input"),), (Channel("y", "m", "output"),)),
+        (np.array([[1.2]]), np.array([[1.0]]), np.array([[1.0]]), np.zeros((1, 1))),
+        OperatingPoint(CONSTANT, u=[[0.0]], y=[[0.0]]),
+    )  # fmt: skip
+    unstable = replace(unstable, predictor=Predictor([[[0.9]]], [[[1.0]]], [[[0.3]]]), noise=np.eye(1))
+    fallback = pid(("u",), ("y",), ("y_set",), 0.1, [0.5], [0.1])
+    price = float(MPCDesign(sensitivity=1.05).weights(unstable, fallback).moves[0])
+    laws = [design_mpc(unstable, fallback, weights=default_weights(unstable, own)) for own in (price, PRICES[0], PRICES[-1])]
+    peaks = [worst_margins(law, [unstable], [None]).sensitivity.max() for law in laws]
+    assert peaks[0] > 1.05
+    assert peaks[0] <= min(peaks[1:])
+
+
+@pytest.mark.parametrize("move", [0.0, -1.0, np.inf, np.nan])
+def test_a_price_that_is_none_is_refused(move):
+    with pytest.raises(InputError, match="above 0, or None"):
+        MPCDesign(move=move)
