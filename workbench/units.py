@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
-from workbench.data import Channel, Experiment
+from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
 from workbench.records import record
 
 
 @record
 class Unit:
-    """1 of this unit is `factor` of the SI unit of its quantity."""
+    """x of this unit are factor x + zero of the SI unit of its quantity."""
 
     quantity: str
     factor: float
+    zero: float = 0.0
 
 
 UNITS: dict[str, Unit] = {
@@ -39,6 +41,7 @@ UNITS: dict[str, Unit] = {
     "in": Unit("length", 0.0254),
     "m/s": Unit("velocity", 1.0),
     "mm/s": Unit("velocity", 1e-3),
+    "cm/s": Unit("velocity", 1e-2),
     "m/min": Unit("velocity", 1 / 60),
     "km/h": Unit("velocity", 1 / 3.6),
     "V": Unit("voltage", 1.0),
@@ -69,6 +72,11 @@ UNITS: dict[str, Unit] = {
     "l/s": Unit("flow", 1e-3),
     "l/min": Unit("flow", 1e-3 / 60),
     "l/h": Unit("flow", 1e-3 / 3600),
+    "K": Unit("temperature", 1.0),
+    "degC": Unit("temperature", 1.0, 273.15),
+    "°C": Unit("temperature", 1.0, 273.15),
+    "degF": Unit("temperature", 5 / 9, 273.15 - 32 * 5 / 9),
+    "°F": Unit("temperature", 5 / 9, 273.15 - 32 * 5 / 9),
 }
 
 
@@ -81,12 +89,43 @@ def check_units(experiment: Experiment, expected: Mapping[str, str]) -> Experime
     for channel in experiment.channels:
         unit = expected.get(channel.name, "")
         if why := differ(channel.unit, unit):
-            factor, head = _factor(channel.unit, unit), f"[{unit}] in the header"
-            convert = f"multiply the column by {factor:.10g} and write {channel.name} {head}" if factor else ""
+            straight, head = _straight(channel.unit, unit), f"[{unit}] in the header"
+            convert = f"{_said(*straight)} and write {channel.name} {head}" if straight else ""
             mend = convert or f"{why}: is this the right column? else convert it and write {head}"
             problem = f"unit is {channel.unit}, expected {unit}"
             raise InputError(problem, file=experiment.name, channel=channel.name, mend=mend)
     return experiment
+
+
+def in_units(records: Dataset, expected: Mapping[str, str]) -> Dataset:
+    """Records in the units expected (channel name -> unit), by what their headers say: each channel that was converted is in the
+    notes of its record.
+
+    A set-point, NAME_set, is brought to the unit of its channel. What has no unit, or one that cannot be converted, is left as it
+    is: `check_units` refuses that.
+
+        >>> log = Experiment.from_arrays("a", 1.0, outputs={"w": np.array([0.0, 30.0])}, units={"w": "rpm"})
+        >>> own = in_units(Dataset((log,)), {"w": "rad/s"}).experiments[0]
+        >>> own["w"].round(3).tolist(), own.notes
+        ([0.0, 3.142], ('w: rpm by its header, taken times 0.1047197551 as rad/s',))
+    """
+    expected = {f"{name}_set": unit for name, unit in expected.items()} | dict(expected)
+    return Dataset(tuple(_converted(e, expected) for e in records))
+
+
+def _converted(e: Experiment, expected: Mapping[str, str]) -> Experiment:
+    channels, values, notes = list(e.channels), e.values, list(e.notes)
+    for i, c in enumerate(e.channels):
+        unit = expected.get(c.name, "")
+        straight = _straight(c.unit, unit) if differ(c.unit, unit) else None
+        if straight is None:
+            continue
+        factor, zero = straight
+        values = values.copy() if values is e.values else values
+        values[:, i] = factor * values[:, i] + zero
+        channels[i] = replace(c, unit=unit)
+        notes.append(f"{c.name}: {c.unit} by its header, taken times {factor:.10g}{f' {zero:+.10g}' * bool(zero)} as {unit}")
+    return e if values is e.values else replace(e, channels=tuple(channels), values=values, notes=tuple(notes))
 
 
 def check_law_units(law: object, channels: Iterable[Channel], file: str) -> None:
@@ -107,10 +146,19 @@ def differ(unit: str, expected: str) -> str:
         return f"no conversion from {unit} to {expected} is known"
     if found.quantity != wanted.quantity:
         return f"{unit} is a {found.quantity}, {expected} a {wanted.quantity}"
-    return "" if math.isclose(found.factor, wanted.factor) else f"1 {unit} is {found.factor / wanted.factor:.10g} {expected}"
+    if math.isclose(found.factor, wanted.factor) and found.zero == wanted.zero:
+        return ""
+    factor, zero = _straight(unit, expected) or (1.0, 0.0)
+    return f"1 {unit} is {factor + zero:.10g} {expected}"
 
 
-def _factor(unit: str, expected: str) -> float | None:
-    """By what a column in `unit` is multiplied; None where that is not known, or would make no sense."""
+def _straight(unit: str, expected: str) -> tuple[float, float] | None:
+    """Factor and zero with which a column in `unit` is one in `expected`; None where that is not known, or makes no sense."""
     found, wanted = UNITS.get(unit), UNITS.get(expected)
-    return None if found is None or wanted is None or found.quantity != wanted.quantity else found.factor / wanted.factor
+    if found is None or wanted is None or found.quantity != wanted.quantity:
+        return None
+    return found.factor / wanted.factor, (found.zero - wanted.zero) / wanted.factor
+
+
+def _said(factor: float, zero: float) -> str:
+    return f"multiply the column by {factor:.10g}" + f", add {zero:.10g}" * bool(zero)

@@ -38,6 +38,9 @@ def run(options: Namespace) -> int:
         bound=numbers(options.bound, "--bound"), nodes=options.nodes, rate=options.rate, runs=options.runs, seed=options.seed,
         progress=progress,
     )  # fmt: skip
+    if found.records and records:
+        for note in (own for own in found.records.own.notes if own not in records.notes):
+            say(f"note: {note}")
     files = [*controller.files, options.limits, *options.records, *([options.model] if options.model else []), *options.fitted]
     source = provenance({key: getattr(options, key) for key in ASKED}, [*files, *(chosen.files if chosen else ())], options.seed)
     folder = run_folder(options.out, "check")

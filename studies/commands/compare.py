@@ -22,7 +22,7 @@ from workbench.provenance import provenance
 from workbench.report.page import write_report
 from workbench.residuals import residual_test
 from workbench.sources import read
-from workbench.units import check_units
+from workbench.units import check_units, in_units
 
 
 def run(options: Namespace) -> int:
@@ -43,12 +43,13 @@ def run(options: Namespace) -> int:
             outputs=[c.name for c in outputs],
             schedule=[c.name for c in schedules],
         )
+        known = {c.name: c.unit for c in (*model.inputs, *outputs, *schedules)}
+        dataset = in_units(dataset, known)
         for note in () if shown else dataset.notes:
             say(f"note: {note}")
         shown = shown or dataset
-        known = (*model.inputs, *outputs, *schedules)
         for experiment in dataset:
-            check_units(experiment, {c.name: c.unit for c in known})
+            check_units(experiment, known)
         if isinstance(model, IntervalModel):
             envelopes = cover(model, dataset, "held-out")
             results.append(ScoredModel(model, path, tuple(c.nominal for c in envelopes), envelopes))

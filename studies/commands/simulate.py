@@ -12,7 +12,7 @@ import numpy as np
 from plants import PLANTS
 from studies.arguments import Chosen, choose_controller, choose_plant, names, parse_effects, parse_numbers, run_folder
 from studies.terminal import note, say
-from workbench.data import Experiment
+from workbench.data import Dataset, Experiment
 from workbench.errors import InputError
 from workbench.files import write_json
 from workbench.lpv import MUCH, scheduled
@@ -21,7 +21,7 @@ from workbench.physics.parameters import EffectSizes
 from workbench.provenance import provenance
 from workbench.readers import read_file, write_csv
 from workbench.records import record
-from workbench.units import check_units
+from workbench.units import check_units, in_units
 
 DURATION = 60.0  # s, of a loop that holds its set-points
 FAR = 100.0  # times the largest set-point, beyond which a loop is lost
@@ -135,7 +135,11 @@ def _replayed(setup: Setup, path: str) -> Ran:
     from workbench.simulation import replay
 
     plant = setup.chosen.plant
-    measured = check_units(read_file(path), {c.name: c.unit for c in (*plant.inputs, *plant.outputs)})
+    units = {c.name: c.unit for c in (*plant.inputs, *plant.outputs)}
+    records = in_units(Dataset((read_file(path),)), units)
+    for told in records.notes:
+        say(f"note: {told}")
+    measured = check_units(records.experiments[0], units)
     done = replay(plant, measured, start=setup.start, parameters=setup.parameters, effects=setup.effects)
     return Ran(done, setup.effects, measured)
 

@@ -419,7 +419,12 @@ def test_units_follow_from_those_they_are_made_of():
             return expected(above) / expected(below)
         return prefixes[name[0]] * expected(name[1:])
 
-    assert factor == pytest.approx({name: expected(name) for name in factor}, rel=1e-12)
+    degrees = {"K": 1.0, "degC": 1.0, "°C": 1.0, "degF": 5 / 9, "°F": 5 / 9}
+    assert factor == pytest.approx({name: degrees.get(name) or expected(name) for name in factor}, rel=1e-12)
+    freezing = {"K": 273.15, "degC": 0.0, "°C": 0.0, "degF": 32.0, "°F": 32.0}
+    assert {name for name, unit in UNITS.items() if unit.zero} | {"K"} == set(freezing)
+    for name, value in freezing.items():
+        assert UNITS[name].factor * value + UNITS[name].zero == pytest.approx(273.15, rel=1e-12)
     for unit in UNITS.values():
         assert any(other.quantity == unit.quantity and other.factor == 1.0 for other in UNITS.values())
 

@@ -21,6 +21,7 @@ from workbench.physics.plant import Plant
 from workbench.provenance import provenance
 from workbench.records import record
 from workbench.report.blocks import Badge, Picture, Report, Standing, Text
+from workbench.units import in_units
 
 PLANT_FILE = "extended.json"
 WIDTH = 110  # characters of a line
@@ -174,16 +175,15 @@ def prepared(plant: Plant, own: Dataset, held_out: Dataset | None, dt: float | N
     if not isinstance(plant, Plant):
         told = f"{type(plant).__name__} {plant!r}"[:60]
         raise InputError(f"plant: {told}, expected a Plant", mend="from plants import PLANTS, or a plant of your own")
-    own, held_out = as_dataset(own), None if held_out is None else as_dataset(held_out)
-    read = [*own.notes, *(held_out.notes if held_out else [])]
-    own, said = thinned(own, dt, plant)
+    units = {c.name: c.unit for c in (*plant.inputs, *plant.outputs)}
+    own, told = thinned(as_dataset(own), dt, plant)
+    held_out = None if held_out is None else thinned(as_dataset(held_out), own.dt if told else dt, plant)[0]
     if held_out:
-        held_out = thinned(held_out, own.dt if said else dt, plant)[0]
         check_held_out(own, held_out)
-    notes = [*read, *([f"{', '.join(own.names)}: {said}"] if said else [])]
-    notes += [str(note) for note in check(plant, own, anyway=anyway)]
-    notes += [str(note) for note in check(plant, held_out, anyway=anyway)] if held_out else []
-    return Records(own, held_out, tuple(notes))
+    sets = [(read, in_units(read, units)) for read in (own, held_out) if read]
+    notes = [note for _, one in sets for note in one.notes] + [f"{', '.join(own.names)}: {told}"] * bool(told)
+    notes += [str(note) for read, one in sets for note in check(plant, one, read=read, anyway=anyway)]
+    return Records(sets[0][1], sets[1][1] if held_out else None, tuple(notes))
 
 
 def texts(sentences: Iterable[str]) -> tuple[Text, ...]:

@@ -19,7 +19,7 @@ from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
-from workbench.hammerstein import Model, behind
+from workbench.hammerstein import Model, behind, core_of
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
 from workbench.lpv import check_schedule_from_outside
@@ -34,6 +34,7 @@ from workbench.robustness.falsify.box import fitted_box, fitted_box_of
 from workbench.robustness.limits import LoopLimits, limits_of, load_limits
 from workbench.robustness.linear_law import check_law, without_linear_form
 from workbench.robustness.verdict import Status, Verdict, overall
+from workbench.units import in_units
 from workbench.verification.curved import as_arriving
 from workbench.verification.model import TITLE, claimed, on_model, opened
 from workbench.verification.part import FROZEN, Part
@@ -89,6 +90,7 @@ def check(
     dataset = None if records is None else as_dataset(records)
     left = loop = None
     if model is not None and dataset is not None:
+        dataset = in_units(dataset, core_of(model).units)
         loop = as_arriving(controller, model, dataset, asked)
         left = opened(ErrorRegression(lags, None if bound is None else list(bound)), loop.model, loop.records)
         if not without_linear_form(loop.law):
