@@ -72,6 +72,12 @@ class Along:
 
         return carried(self.M, self.K, d)
 
+    def settled_by(self, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What errors d that stay move the state (nx,) and the outputs (ny,) by in the end, at the last sample's schedule."""
+        A, _, C = self.matrices(len(self.path) - 1)
+        x = np.linalg.solve(np.eye(self.nx) - A, self.K[-1] @ d)
+        return x, C @ x + d
+
     def predictor_at_rest(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
         """(x, e) of the predictor of a machine that has stood at y under u."""
         A, B, C = self.matrices(0)

@@ -26,8 +26,7 @@ from workbench.hammerstein import HammersteinWienerModel, Model, core_of, invert
 from workbench.lpv import LPVModel
 from workbench.physics.plant import Plant
 from workbench.records import field, record
-from workbench.robustness.frequency import peak
-from workbench.robustness.frozen import DEFAULT, Bounds, closed_loop
+from workbench.robustness.frozen import DEFAULT, Bounds, largest_sensitivity
 from workbench.steady import dying
 from workbench.verification.trial import BAND, LONGEST, OVERSHOOT, SETTLED, Trial, tried
 
@@ -341,8 +340,7 @@ class MPCDesign:
         @cache
         def largest(price: float) -> float:
             law = design_mpc(model, fallback, horizon=self.horizon, weights=default_weights(model, price))
-            loops = [closed_loop(law, model, rho).input_sensitivity for rho in grid]
-            return max(peak(S).gain if S.stable else np.inf for S in loops)
+            return largest_sensitivity(law, model, grid)
 
         high = next((i for i in range(0, len(PRICES), COARSER) if largest(PRICES[i]) <= self.sensitivity), None)
         if high is None:

@@ -203,9 +203,11 @@ class MPC(Receding):
             xt, ut, yt = self._target(last, model, z, r, limited=False)
             H, f, Y, free = self._condensed(last, model, z, np.tile(yt, (N + 1, 1)), push, (xt, ut))
             U = np.linalg.solve(H + TINY * np.trace(H) / len(H) * np.eye(len(H)), -f).reshape(N, nu)
-            moved = np.zeros((N, ny)) if self.tube is None else model.by_errors(model.disturbances(z)[1])
-            ahead, now = (Y @ U.ravel() + free).reshape(N, ny) - moved, model.outputs(z) if self.tube is None else r - moved[-1]
-            rows = U, np.diff(U, axis=0, prepend=last[None]), ahead[:, soft], ut, (r - moved[-1])[soft], now[soft]
+            ahead, settled, now = (Y @ U.ravel() + free).reshape(N, ny), r, (model.outputs(z)[soft],)
+            if self.tube is not None:  # its limits do not see what d moves, and nothing gives way
+                d = model.disturbances(z)[1]
+                ahead, settled, now = ahead - model.by_errors(d), r - model.settled_by(d)[1], ()
+            rows = U, np.diff(U, axis=0, prepend=last[None]), ahead[:, soft], ut, settled[soft], *now
             return np.concatenate([model.moved(z, U[0], push), *(own.ravel() for own in rows)])
 
         n, at_0 = nz + nu, answered(np.zeros(nz + nu + 2 * ny))
@@ -218,14 +220,11 @@ class MPC(Receding):
     def _plan_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest values of the rows of `affine`."""
         N, nu, soft, tube = self.horizon, len(self.low), self._soft[2], self.tube
-        u, moves, y = (
-            (np.zeros((N, nu)), np.zeros((N, nu)), np.zeros((N, len(self.y_low))))
-            if tube is None
-            else (tube.u, tube.moves, tube.y)
-        )
-        room = u, moves, y[:, soft], u[-1], y[-1, soft], y[-1, soft]
-        low = self.low, -self._way, self.y_low[soft], self.low, self.y_low[soft], self.y_low[soft]
-        high = self.high, self._way, self.y_high[soft], self.high, self.y_high[soft], self.y_high[soft]
+        lows, highs = (self.low, -self._way, self.y_low[soft]), (self.high, self._way, self.y_high[soft])
+        room = [np.zeros((N, n)) for n in (nu, nu, len(soft))] if tube is None else [tube.u, tube.moves, tube.y[:, soft]]
+        which = (0, 1, 2, 0, 2, *((2,) if tube is None else ()))  # of the rows: commands, moves or outputs
+        room = [room[i] if at < 3 else room[i][-1] for at, i in enumerate(which)]
+        low, high = ([own[i] for i in which] for own in (lows, highs))
         return (
             np.concatenate([np.ravel(own + by) for own, by in zip(low, room, strict=True)]),
             np.concatenate([np.ravel(own - by) for own, by in zip(high, room, strict=True)]),
@@ -394,9 +393,8 @@ class MPC(Receding):
         x0, X, y0, G = steady(model.M[-1], model.nx, model.nu, model.ny, d_in - model.u0[-1], model.y0[-1] + d_out)
         y_low, y_high, low, high = self.y_low, self.y_high, self.low, self.high
         if self.tube is not None:
-            own = np.linalg.solve(np.eye(model.nx) - model.matrices(len(model.M) - 1)[0], model.K[-1] @ d_out)
-            x0, moved = x0 + own, model.matrices(len(model.M) - 1)[2] @ own
-            y0, moved = y0 + moved, moved + d_out
+            own, moved = model.settled_by(d_out)
+            x0, y0 = x0 + own, y0 + moved - d_out
             y_low, y_high = y_low + self.tube.y[-1] + moved, y_high - self.tube.y[-1] + moved
             low, high = low + self.tube.u[-1], high - self.tube.u[-1]
         r = np.minimum(np.maximum(r, y_low), y_high) if limited else r

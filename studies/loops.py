@@ -3,8 +3,8 @@
 Laws are designed as a user would: records of the machine's plan, a model, then `design`. Nothing that a law does not measure is
 told to it but what its file holds; the nonlinear MPC's file holds the plant. All PIDs of a machine keep the same bounds; what
 those leave open, the reference model of a PID and the price that an MPC pays for moves, is chosen by `rehearsal` on the
-identified model, by one rule for all. Outputs count there in units of their set-point steps, and so they do in the MPCs' weights;
-the nonlinear MPC pays the MPC's price.
+identified model, by one rule for all; MPCs keep the PIDs' bound of |S|, too. Outputs count there in units of their set-point
+steps, and so they do in the MPCs' weights; the nonlinear MPC pays the MPC's price.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from controllers.designs import FINE
 from controllers.mpc import MPC, design_mpc
 from controllers.nmpc import design_nmpc
 from controllers.pid_design import PIDDesign, Structure, design_pid
@@ -28,7 +29,7 @@ from workbench.physics.parameters import EffectSizes
 from workbench.physics.plant import Plant
 from workbench.records import record
 from workbench.rehearsal import Rehearsal, calmest, rehearsal
-from workbench.robustness.frozen import Bounds
+from workbench.robustness.frozen import DEFAULT, Bounds, largest_sensitivity
 from workbench.simulation import Scenario
 
 Say = Callable[[str], None]
@@ -85,11 +86,14 @@ class _Chosen:
         self.pids[name] = replace(found, law=law)
         return law
 
-    def mpc(self, name: str, make: Callable[[float], MPC], models: Sequence[str]) -> float:
-        """The price of moves of the law that was taken."""
-        candidates = {f"move price {price:g}": make(price) for price in PRICES}
+    def mpc(self, name: str, make: Callable[[float], MPC], models: Sequence[str], bounds: Bounds) -> float:
+        """The price of moves of the law that was taken, of those that keep the bound of |S|, or that of the least |S|."""
+        made = {price: make(price) for price in PRICES}
+        peaks = {price: largest_sensitivity(law, law.model, law.model.frozen_values(FINE)) for price, law in made.items()}
+        kept = [price for price in PRICES if peaks[price] <= bounds.sensitivity] or [min(PRICES, key=lambda price: peaks[price])]
+        candidates = {f"move price {price:g}": made[price] for price in kept}
         self._take(name, candidates, models)
-        return PRICES[list(candidates).index(self.taken[name])]
+        return kept[list(candidates).index(self.taken[name])]
 
     def _take(self, name: str, candidates: Mapping[str, Any], models: Sequence[str]) -> Any:
         self.progress(f"{name}: {len(candidates)} candidates on the identified model")
@@ -154,6 +158,7 @@ def _design_winding(quick: bool, seed: int, progress: Say) -> Designed:
         "LPV-MPC",
         lambda move: design_mpc(model, fallback, weights=_counted(size, 2, move), y_low=low, y_high=high),
         [model.name],
+        DEFAULT,
     )
     chosen.laws["NMPC"] = design_nmpc(WINDING, fallback, weights=_counted(size, 2, price), y_low=low, y_high=high)
     return chosen.designed({model.name: model})
@@ -224,7 +229,7 @@ def _design_robot(quick: bool, seed: int, progress: Say) -> Designed:
     chosen.pid("PID", design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,)), ["nominal"])
     robust = design_pid(nominal, structure=FORCE, bounds=BRISK, setpoint=(0.0,), robust_to=[heavy])
     fallback = chosen.pid("robust PID", robust, list(models))
-    price = chosen.mpc("MPC", lambda move: design_mpc(nominal, fallback, weights=_counted(size, 1, move)), ["nominal"])
+    price = chosen.mpc("MPC", lambda move: design_mpc(nominal, fallback, weights=_counted(size, 1, move)), ["nominal"], BRISK)
     chosen.laws["NMPC"] = design_nmpc(ROBOT, fallback, weights=_counted(size, 1, price))
     return chosen.designed(models)
 

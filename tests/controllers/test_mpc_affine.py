@@ -7,17 +7,27 @@ import pytest
 
 from controllers.mpc import MPC, Extrapolated, Held, design_mpc
 from controllers.pid import pid
+from controllers.receding import Weights
+from controllers.scheduled_pid import Clamping
 from tests.controllers import test_tube as tubes
 from tests.controllers.test_mpc import Plant, law, lpv
 from tests.workbench.robustness import test_resimulation as plain
+from workbench.basis import CONSTANT
+from workbench.data import Channel
 from workbench.errors import InputError
-from workbench.lpv import Term
+from workbench.intervals.domains.shapes import Box
+from workbench.intervals.model import IntervalModel, Mode, Unrefuted
+from workbench.intervals.regressors import FIR
+from workbench.intervals.semantics import ParameterBox
+from workbench.lpv import OperatingPoint, Predictor, Term, constant_model
 from workbench.robustness.envelopes.constant import constant
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.frozen import worst_margins
+from workbench.robustness.limits import limits_of
 from workbench.robustness.linear_law import affine_of, without_linear_form
 from workbench.robustness.loop import PLANNED, course_of
 from workbench.robustness.verdict import Bound, Region, Status, bounds_kept
+from workbench.verification.model import Open, on_model
 
 FAR = {"low": np.full(2, -1e6), "high": np.full(2, 1e6), "rate": np.full(2, 1e9)}
 
@@ -117,6 +127,84 @@ def test_within_its_rows_the_law_is_affine_and_beyond_them_it_is_not():
             differs += np.abs(u - expected).max() > 1e-4
     assert inside > 40
     assert differs > 100
+
+
+@pytest.mark.parametrize("horizon", [2, 5, 20])
+@pytest.mark.parametrize("gain", [0.2, -0.2, 0.5])
+def test_within_the_rows_of_a_tube_too(horizon, gain):
+    """Its set-points are clipped by where errors that stay move the outputs in the end: commands were off by 2.8."""
+    K = gain * tubes.C.T
+    model = replace(tubes.still(), predictor=Predictor((tubes.A - K @ tubes.C)[None], tubes.B[None], K[None]))
+    controller = design_mpc(
+        model, tubes.fallback(), errors=tubes.errors(model, share=0.2), weights=tubes.WEIGHTS, horizon=horizon,
+        low=[-30, -20], high=[30, 30], rate=[2000.0, 2000.0], y_low=[4.0, 0.0], y_high=[6.0, 2.0],
+    )  # fmt: skip
+    own, random, inside, differs = controller.affine(), np.random.default_rng(0), 0, 0
+    state = controller.step(controller.init(tubes.U0), tubes.Y0, tubes.Y0, None)[1]
+    x0, nz = controller.memory(state), len(state.z)
+    for _ in range(400):
+        x = x0 + 0.3 * random.uniform() * random.normal(size=len(x0))
+        seen = np.concatenate([tubes.Y0 + 0.6 * random.normal(size=2), tubes.Y0 + 0.2 * random.normal(size=2)])
+        rows = own.W @ x + own.V @ seen + own.w
+        u, _ = controller.step(state._replace(z=x[:nz], u=x[nz:]), seen[:2], seen[2:], None)
+        off = np.abs(u - own.C @ x - own.D @ seen - own.o).max()
+        if np.all((own.low <= rows) & (rows <= own.high)):
+            inside += 1
+            assert off < 1e-6
+        else:
+            differs += off > 1e-3
+    assert min(inside, differs) > 20
+
+
+def lag():
+    """y+ = 0.9 y + 0.1 u, and next to nothing that is open of it."""
+    model = constant_model(
+        "lag", 0.1, ((Channel("u", "V", "input"),), (Channel("y", "V", "output"),)), ([[0.9]], [[0.1]], [[1.0]], [[0.0]]),
+        OperatingPoint(CONSTANT, [[0.0]], [[0.0]]),
+        predictor=Predictor([[[0.7]]], [[[0.1]]], [[[0.2]]]), noise=np.array([[0.01]]),
+    )  # fmt: skip
+    sources = tuple(Channel(name, "V", "input") for name in "yu")
+    box = Mode(ParameterBox(np.zeros(3), np.array([0.0, 1e-4, 0.0])), Box(-np.ones(2), np.ones(2)), (), 10, 0.1, 0.5)
+    error = IntervalModel(
+        "e", 0.1, sources, Channel("error of y", "V", "output"), None, FIR(1), Unrefuted(), 0.0, np.zeros(2), 1.0, (box,)
+    )
+    return Open(model, (error,), np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("kind", ["pid", "mpc"])
+def test_a_run_that_begins_beyond_a_limit_proves_nothing(kind):
+    """Before the run a set-point is asked for that takes more than the law may command: it rests elsewhere than its linear form.
+
+    Proved was y >= 4.5 of a PID that went to 2.6, and y >= 6.2 of an MPC that went to 5.2.
+    """
+    left, limited = lag(), {"low": (-10.0,), "high": (10.0,), "rate": (1e3,)}
+    controller = replace(pid(("u",), ("y",), ("y_set",), 0.1, [1.0], [1.0], **limited), anti_windup=Clamping())
+    if kind == "mpc":
+        controller = design_mpc(left.model, controller, horizon=5, weights=Weights((1.0,), (3.0,), (0.0,)))
+    random, proved = np.random.default_rng(4), {False: 0, True: 0}
+    for number in range(16):
+        before = random.uniform(11.0, 25.0) if number % 2 else random.uniform(3.0, 9.0)
+        after, then = random.uniform(-6.0, 6.0, 2)
+        r = np.where(np.arange(60) < 20, after, then)
+        course = course_of(left.model, left.errors, controller, np.zeros(60), r[:, None], noise=False, initial=[[before, before]])
+        reach = kernel(course)
+        y, state, found = 0.0, controller.init(np.array([0.0])), []
+        for k in range(-600, 60):
+            found.append(y)
+            u, state = controller.step(state, np.array([before if k < 0 else r[k]]), np.array([y]))
+            y = 0.9 * y + 0.1 * u[0]
+        itself = np.array(found[600:])
+        limits = limits_of({
+            "run": {"duration": 6.0, "setpoints": {"y": [[0.0, after], [2.0, then]]}, "initial": {"y": before}},
+            "limits": {"y": {"low": reach.low[:, 0].min() - 0.01, "high": reach.high[:, 0].max() + 0.01}},
+            "loop": {"stable": False},
+        })  # fmt: skip
+        for verdict in on_model(left, controller, limits).verdicts:
+            inside = itself.min() >= reach.low[:, 0].min() - 0.02 and itself.max() <= reach.high[:, 0].max() + 0.02
+            assert verdict.status is not Status.PROVED or inside, (before, after, then, str(verdict))
+            proved[before > 10.0] += verdict.status is Status.PROVED
+    assert proved[False] > 0
+    assert proved[True] == 0
 
 
 # ---- what is proved, against the law itself in plain loops ---------------------------------------------------------------------

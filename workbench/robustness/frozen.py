@@ -115,6 +115,12 @@ def closed_loop(law: LinearLaw, model: LPVModel, rho: Any, scale: np.ndarray | f
     return Closed.of(plant, replace(answer, B=answer.B * size, D=answer.D * size))
 
 
+def largest_sensitivity(law: LinearLaw, model: LPVModel, rhos: Sequence[Any]) -> float:
+    """The largest |S|, broken at the plant input, of the frozen loops; infinite where one is lost."""
+    loops = [closed_loop(law, model, rho).input_sensitivity for rho in rhos]
+    return max(peak(S).gain if S.stable else np.inf for S in loops)
+
+
 def feedback_of(law: LinearLaw, rho: Any) -> System:
     """What a frozen law makes of -y."""
     own: Any = getattr(law, "unshaped", law).at(rho)  # set-points are not in the loop

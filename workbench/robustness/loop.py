@@ -145,7 +145,7 @@ def course(loops: Sequence[DrivenLoop], references: np.ndarray, initial: np.ndar
     wide = ends[:, 1] > ends[:, 0]
     usual = np.append(np.where(wide, 0.5 * (ends[:, 0] + ends[:, 1]), ends[:, 0]), 1.0)
     half = np.nextafter(np.abs(ends - usual[:nr, None]).max(axis=1), np.inf)[wide]  # both ends are held, rounding and all
-    before = Rest(first.G @ usual, first.G[:, :nr][:, wide] * half, first.J @ usual, first.J[:, :nr][:, wide] * half)
+    before = Rest(*(part for M in (first.G, first.J, first.H) for part in (M @ usual, M[:, :nr][:, wide] * half)))
     return Course(
         A=along("A"), B=along("B"), C=along("C"), E=along("E"), F=along("F"), lam=along("lam"), channel=first.channel, mode=mode,
         q=q, g=driving("H"), f=driving("J"), start=np.linalg.solve(np.eye(len(first.A)) - first.A, before.q),

@@ -33,12 +33,17 @@ UP = 1.0 + 1e-12  # more than the rounding of a sum of some positive terms
 
 @record
 class Rest:
-    """What drives the loop before the run, see the module; g numbers e, none where all of it is known."""
+    """What drives the loop before the run, see the module; g numbers e, none where all of it is known.
+
+    Watched is E x + v + V e + F w.
+    """
 
     q: np.ndarray = field("n")
     Q: np.ndarray = field("n g")
     f: np.ndarray = field("p")
     J: np.ndarray = field("p g")
+    v: np.ndarray = field("s")
+    V: np.ndarray = field("s g")
 
 
 @record

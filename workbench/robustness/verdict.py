@@ -37,7 +37,7 @@ from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.constant import constant
 from workbench.robustness.envelopes.course import Course, explained, replay
 from workbench.robustness.envelopes.dual import dual
-from workbench.robustness.envelopes.kernel import Kernel, kernel
+from workbench.robustness.envelopes.kernel import Kernel, kernel, rested
 from workbench.robustness.margins import Falsified, Margin
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
@@ -282,7 +282,7 @@ def _constant_runs(course: Course, possible: np.ndarray) -> Tried:
 def _with_noise(course: Course, constant: Tried, bound: Bound, linear: "_Linear") -> Tried:
     """The constant run that comes nearest to a bound, and the worst errors on top of it."""
     i = course.number(bound.signal)
-    excess = _excess(constant.v, bound, i, linear.until(course, constant.v))
+    excess = _excess(constant.v, bound, i, linear.until(course, constant))
     best = constant.row(int(excess.max(axis=1).argmax()))
     if not _noisy(course):
         return best
@@ -329,14 +329,25 @@ class _Linear(NamedTuple):
     stops: tuple[Bound, ...]
     region: Region
 
-    def until(self, course: Course, v: np.ndarray) -> np.ndarray:
-        """The first sample (R) of runs v (R N s) that is not the linear law's; after that the run is not either."""
+    def ends(self, course: Course, low: np.ndarray, high: np.ndarray) -> bool:
+        """Whether signals between these values (s) at the rest before the run may be beyond what the law is linear in."""
+        own = [course.number(name) for name in self.region.signals]
+        at = [course.number(stop.signal) for stop in self.stops]
+        lows = np.append(self.region.low, [stop.low[0] for stop in self.stops])
+        highs = np.append(self.region.high, [stop.high[0] for stop in self.stops])
+        return bool(np.any(low[own + at] < lows) or np.any(high[own + at] > highs))
+
+    def until(self, course: Course, tried: Tried) -> np.ndarray:
+        """The first sample (R) of runs that is not the linear law's; after that the run is not either."""
+        v = tried.v
         own = v[:, :, [course.number(name) for name in self.region.signals]]
         beyond = np.any((own < self.region.low) | (own > self.region.high), axis=2)
         for stop in self.stops:
             command = v[:, :, course.number(stop.signal)]
             beyond = beyond | (command < stop.low) | (command > stop.high)
-        return np.array([_first(beyond[row]) for row in range(len(v))], dtype=int)
+        rest = course.rested(tried.before, tried.share)
+        begun = np.array([course.before is None or not self.ends(course, one, one) for one in rest])
+        return np.array([_first(beyond[row]) if begun[row] else 0 for row in range(len(v))], dtype=int)
 
 
 def _first(at: Any) -> int:
@@ -365,6 +376,8 @@ def _proved(
     own = [course.number(name) for name in linear.region.signals]
     within = (outer.low[:, own] >= linear.region.low) & (outer.high[:, own] <= linear.region.high)
     free = _first(~np.all(within, axis=1))
+    if course.before is not None and outer.start is not None and linear.ends(course, *rested(course, outer.start)):
+        free = 0
     for stop in linear.stops:
         progress(stop.claim)
         free = min(free, _proved_until(course, outer, stop))
@@ -376,7 +389,7 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kep
     course, outer, free, dt = proved.course, proved.outer, proved.free, proved.dt
     until = _proved_until(course, outer, bound)
     i, unit = course.number(bound.signal), bound.unit
-    excess = _excess(tried.v, bound, i, proved.linear.until(course, tried.v))
+    excess = _excess(tried.v, bound, i, proved.linear.until(course, tried))
     row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
     reached = float(excess[row, k])
     beyond = float(_excess(furthest.v, bound, i, np.full(len(furthest.v), len(course))).max())

@@ -17,7 +17,7 @@ from workbench.robustness.envelopes import kernel as kernel_module
 from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.envelopes.dual import dual
-from workbench.robustness.envelopes.kernel import kernel, starts
+from workbench.robustness.envelopes.kernel import kernel, rested, starts
 from workbench.robustness.envelopes.problem import Problem
 from workbench.robustness.rests import Rest
 
@@ -53,11 +53,14 @@ def resting(seed, n=3, p=4, c=2, g=1, N=20, lam=0.05, scale=1.0, M=1) -> Course:
         random.standard_normal((M, p, n)) @ back,
         random.standard_normal((M, 1, n)) @ back,
     )
+    seen = np.random.default_rng([seed, 1])
     before = Rest(
         T @ random.standard_normal(n),
         T @ random.standard_normal((n, g)),
         random.standard_normal(p),
         random.standard_normal((p, g)),
+        seen.standard_normal(1),
+        seen.standard_normal((1, g)),
     )
     return Course(
         A, B, C, E, random.standard_normal((M, 1, c)), lam * random.uniform(0.2, 1.0, (M, p)),
@@ -109,6 +112,23 @@ def test_every_rest_is_held_without_rounding(seed, n, p, c, g, scale):
         found = course.begun(delta[None], e[None])[0]
         if course.rests(delta[None])[0]:
             np.testing.assert_allclose(found, x.astype(float), rtol=1e-9, atol=1e-9 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("g", [0, 2])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_watched_at_every_rest_is_between_its_bounds(seed, g):
+    """E x + v + V e + F w without rounding, and the bounds are nearly reached where little is open."""
+    for lam in (0.05, 1e-3):
+        course = resting(seed, g=g, lam=lam)
+        low, high = rested(course, starts(course))
+        rest, i, reached = course.before, course.modes[0], []
+        for delta, e in zip(*points(course, 20, seed), strict=True):
+            x, w = exact_rest(course, delta, e)
+            v = rational(course.E[i]) @ x + rational(rest.v) + rational(rest.V) @ rational(e) + rational(course.F[i]) @ w
+            assert rational(low)[0] <= v[0] <= rational(high)[0]
+            reached.append(float(v[0]))
+            assert course.rested(delta[None], e[None])[0, 0] == pytest.approx(float(v[0]), rel=1e-9, abs=1e-9)
+        assert high[0] - low[0] <= 4.0 * np.ptp(reached)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-30, 1e-105, 1e-112, 0.0])
@@ -199,7 +219,7 @@ def scalar(a, lam) -> Course:
     start = [1.0 / (1.0 - a)] if a != 1.0 else [0.0]
     return Course(
         a * one, one, one, one, 0.0 * one, [[lam]], [0], np.zeros(N), np.ones((N, 1)), np.zeros((N, 1)), np.zeros((N, 1)), start,
-        ("v",), Rest([1.0], np.zeros((1, 0)), [0.0], np.zeros((1, 0))),
+        ("v",), Rest([1.0], np.zeros((1, 0)), [0.0], np.zeros((1, 0)), [0.0], np.zeros((1, 0))),
     )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ def scalar(lam=0.1, noise=0.0) -> Course:
     return Course(
         A=[[[0.5]]], B=[[[1.0]]], C=[[[1.0], [0.0]]], E=[[[1.0], [-2.0]]], F=np.zeros((1, 2, 1)), lam=[[lam, noise]],
         channel=[0, 0], mode=np.zeros(N), q=np.ones((N, 1)), g=np.zeros((N, 2)), f=np.tile([0.0, 1.0], (N, 1)), start=[2.0],
-        signals=("y", "u"), before=Rest([1.0], np.zeros((1, 0)), [0.0, 1.0], np.zeros((2, 0))),
+        signals=("y", "u"), before=Rest([1.0], np.zeros((1, 0)), [0.0, 1.0], np.zeros((2, 0)), [0.0, 0.0], np.zeros((2, 0))),
     )  # fmt: skip
 
 

@@ -131,6 +131,7 @@ def _begun(course: Course, series: _Series) -> tuple[Start | None, np.ndarray]:
     felt = lam * (np.abs(C) @ (size + np.abs(course.start)) + np.abs(rest.f) + np.abs(rest.J).sum(axis=1))
     for signs, _ in channels_of(course):
         left = np.abs((signs * lam) @ last).sum(axis=1) + np.abs(signs @ (lam * z * still))
+        left = left + np.abs((signs * lam * still) @ rest.J).sum(axis=1)
         own.append((left + unit * (np.abs(signs) @ felt)) * up + TINY)
     return rests.remaining(A, B, C, lam, channels_of(course), off, own), D
 

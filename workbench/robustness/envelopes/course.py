@@ -55,7 +55,8 @@ class Course:
             raise InputError(f"mode must be an integer from 0 to {M - 1}", file="Course")
         if np.any((self.channel % 1 != 0) | (self.channel >= c)):
             raise InputError(f"channel must be an integer from 0 to {c - 1}", file="Course")
-        if self.before and (len(self.before.q) != len(self.start) or len(self.before.f) != self.f.shape[1]):
+        sizes = [len(self.start), self.f.shape[1], len(self.signals)]
+        if self.before and [len(own) for own in (self.before.q, self.before.f, self.before.v)] != sizes:
             raise InputError("the rest before the run is of another loop", file="Course")
         if len(self.signals) != self.E.shape[1] or len(set(self.signals)) < len(self.signals):
             raise InputError(f"{self.E.shape[1]} watched signals, named {', '.join(self.signals)}", file="Course")
@@ -84,7 +85,8 @@ class Course:
         f, before, first = self.f[..., None], self.before, int(self.modes[0])
         if before is not None:
             q, Q = before.q + BD[first] @ before.f, before.Q + BD[first] @ before.J
-            before = replace(before, q=q, Q=Q) if self.rests(delta[None])[0] else None
+            v, V = before.v + FD[first] @ before.f, before.V + FD[first] @ before.J
+            before = replace(before, q=q, Q=Q, v=v, V=V) if self.rests(delta[None])[0] else None
         return replace(
             self,
             A=self.A + BD @ self.C,
@@ -120,6 +122,13 @@ class Course:
         left = np.eye(len(self.start)) - self.A[i] - BD @ self.C[i]
         start[at] = np.linalg.solve(left, (q + (BD @ f[..., None])[..., 0])[..., None])[..., 0]
         return start
+
+    def rested(self, delta: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """The watched signals (R s) at the rests where runs begin, as in `begun`; of a known start those of the first sample."""
+        x, i, before = self.begun(delta, share), int(self.modes[0]), self.before
+        f, v = (self.f[0], self.g[0]) if before is None else (before.f + share @ before.J.T, before.v + share @ before.V.T)
+        w = (delta * self.lam[i] * (x @ self.C[i].T + f)) @ self.members
+        return x @ self.E[i].T + v + w @ self.F[i].T
 
     def number(self, signal: str) -> int:
         """Which of the watched signals it is."""

@@ -164,6 +164,28 @@ def starts(course: Course) -> Start | None:
     return _start(course, channels_of(course))
 
 
+def rested(course: Course, start: Start) -> tuple[np.ndarray, np.ndarray]:
+    """Between which values (s) each the watched signals are before the run, at the rest of any machine of the boxes.
+
+    E x + v + V e + F w with x in start + spread (e, w) + r, and the same w.
+    """
+    before, i = course.before, int(course.modes[0])
+    E = course.E[i]
+    if before is None:
+        return np.full(len(course.signals), -np.inf), np.full(len(course.signals), np.inf)
+    g, unit = before.Q.shape[1], rounding(len(course.start) + course.f.shape[1])
+    through = E @ start.spread
+    through[:, :g] += before.V
+    through[:, g:] += course.F[i]
+    size = np.abs(start.spread) @ start.size + start.slack + np.abs(course.start)
+    middle = E @ course.start + before.v
+    half = np.abs(through) @ start.size + np.abs(E) @ start.slack
+    own = np.abs(before.v) + np.abs(before.V).sum(axis=1) + np.abs(course.F[i]) @ start.size[g:]
+    half = half + unit * (np.abs(E) @ size + own + half)
+    half = half * (1.0 + unit) + TINY
+    return np.nextafter(middle - half, -np.inf), np.nextafter(middle + half, np.inf)
+
+
 def window_start(course: Course, first: int, outer: Kernel | None) -> Start | None:
     """The set in which a window begins around the nominal run: as the kernel knows it, or the starts of the course themselves."""
     if first == 0 or outer is None:

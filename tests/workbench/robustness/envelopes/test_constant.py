@@ -32,7 +32,7 @@ def resting(seed, *, open_=0, noise=0.0, gain=0.5, N=30, M=1) -> Course:
     f, quiet, own = course.f.copy(), lam.copy(), random.normal(size=5)
     f[:, 4] = own[4] = 1.0
     J[4] = quiet[:, 4] = 0.0
-    rest = Rest(q, Q, own, J)
+    rest = Rest(q, Q, own, J, random.normal(size=3), random.normal(size=(3, open_)))
     start = np.linalg.solve(np.eye(4) - course.A[int(course.mode[0])], rest.q)
     course = replace(course, C=C, lam=lam, f=f, start=start, before=rest)
     scale = gain / kernel(replace(course, lam=quiet)).gain
@@ -168,6 +168,18 @@ def test_every_degree_is_proved_and_a_higher_one_is_tighter(degree, monkeypatch)
         for both in np.array(list(product([-1.0, 1.0], repeat=5)))[::6]:
             assert stays_within(inner, exact_run(course, np.append(both[:4], 0.0), both[4:]))
     assert all(np.median(after / before) < 0.97 for before, after in pairwise(halves))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_set_points_before_the_run_may_reach_an_error_that_no_parameter_explains(seed):
+    """Its regressor at the rest depends on them; runs were up to 14 times outside."""
+    course = resting(seed, open_=2, noise=0.3)
+    J = course.before.J.copy()
+    J[4] = 3.0 * np.random.default_rng(seed).normal(size=2)
+    course = replace(course, before=replace(course.before, J=J))
+    inner = inner_of(course)
+    for both in np.array(list(product([-1.0, 1.0], repeat=7)))[::5]:
+        assert stays_within(inner, exact_run(course, both[:5], both[5:]))
 
 
 def test_of_many_parameters_the_degree_is_lower_and_still_proved(monkeypatch):
