@@ -276,6 +276,12 @@ def _todo(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial) 
         return f"Do not switch {name} on: one run of the loop is lost."
     worst = [v.claim for v in verdicts if v.status is status]
     which = f"{'; '.join(worst[:2])}{f' and {len(worst) - 2} more' if len(worst) > 2 else ''}"
+    on_model = [v.status for v in verdicts if not v.of.startswith("plant")]
+    if status is Status.PASSED and on_model and all(own is Status.PROVED for own in on_model):
+        return (
+            f"Everything that was asked of {name} is proved on the identified model, while no command is at its limit; on the "
+            "simulated plant nothing broke it."
+        )
     return {
         Status.PROVED: f"Everything that was asked of {name} is proved, while no command is at its limit.",
         Status.PASSED: f"Nothing that was asked of {name} could be broken; it was tried, not proved.",
@@ -331,8 +337,11 @@ def counted(verdicts: Sequence[Verdict]) -> str:
 
 def verdict_table(verdicts: Sequence[Verdict], title: str = "Verdicts") -> Table:
     rows = tuple((v.claim, v.of, v.status.value, v.margin, v.unit, v.sentence, v.witness) for v in verdicts)
+    header: tuple[str, ...] = ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file")
+    if not any(v.witness for v in verdicts):
+        rows, header = tuple(row[:-1] for row in rows), header[:-1]
     return Table(
-        title, ("claim", "of", "verdict", "margin", "unit", "what it rests on", "file"), rows, digits=3,
+        title, header, rows, digits=3,
         caption="PROVED: a certificate, checked in outward-rounded arithmetic, or a bound that needs no solver and has its own "
         "rounding in it. PASSED: no counterexample was found, which proves nothing. FAILED: the file named runs again with "
         "workbench simulate --replay. UNDECIDED: neither; the margin is what is missing to a proof.",

@@ -2,8 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+from workbench.answers.check import _todo, verdict_table
 from workbench.answers.verdict import sizes
 from workbench.diagnosis.answer import Estimate
+from workbench.robustness.verdict import Status, Verdict, overall
+from workbench.verification.trial import Trial
 
 
 def test_an_interval_is_told_in_the_digits_that_it_takes():
@@ -18,3 +24,24 @@ def test_an_interval_is_told_in_the_digits_that_it_takes():
     assert sizes(cause) == (
         "time 0.012 s (95 %: 0.0119985 to 0.0120016), level 3 N (95 %: 2.4 to 3.6), exact 1.5 V (95 %: 1.5 to 1.5)"
     )
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "said"),
+    [
+        (
+            "model PROVED, plant PASSED",
+            "is proved on the identified model, while no command is at its limit; on the simulated plant",
+        ),
+        ("model PROVED, model PROVED, plant PASSED, plant PASSED", "is proved on the identified model"),
+        ("plant PASSED", "it was tried, not proved"),
+        ("model PASSED, model PROVED, plant PASSED", "it was tried, not proved"),  # |S| is looked at on a grid
+        ("model PROVED", "is proved, while no command is at its limit."),
+        ("model UNDECIDED, plant PASSED", "not all is decided"),
+    ],
+)
+def test_the_first_line_of_a_check_says_what_is_proved_and_where(verdicts, said):
+    own = [Verdict("c", f"{of} m", Status[status], 0.0, "", "s") for of, status in map(str.split, verdicts.split(", "))]
+    assert said in _todo("law", overall(own), own, Trial("m", "", "kept", np.zeros(1), np.zeros(1)))
+    assert verdict_table(own).header[-1] == "what it rests on"
+    assert verdict_table([own[0].shown_by("x.json")]).header[-1] == "file"
