@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import PurePosixPath
 from typing import Any
 
-from studies.arguments import names
+from studies.arguments import is_plant, names
 from studies.cli import parser
 
 
@@ -21,7 +21,8 @@ def python_lines(words: tuple[str, ...]) -> str:
         except SystemExit:
             return ""
     made = LINES.get(options.command)
-    return "\n".join(["import workbench as wb", *made(options)]) if made else ""
+    lines = made(options) if made else []
+    return "\n".join(["import workbench as wb", *lines]) if lines else ""
 
 
 def _read(name: str, files: Sequence[str], options: Namespace) -> list[str]:
@@ -66,19 +67,42 @@ def _diagnose(options: Namespace) -> list[str]:
 
 
 def _design(options: Namespace) -> list[str]:
-    limits = {key: _numbers(getattr(options, key)) for key in ("setpoint", "low", "high", "rate") if getattr(options, key)}
-    first = [f"model = wb.load_model({_text(options.model)})"]
-    if options.kind == "mpc":
-        said = {key: getattr(options, key) for key in ("horizon", "move", "sensitivity") if getattr(options, key)} | limits
-        return ["from controllers import MPCDesign", *first, f"law = MPCDesign({_called([], said)}).on(model)"]
-    if options.kind not in ("pid", "scheduled-pid"):
+    if is_plant(options.model) or options.diagnosis or options.tube or options.kind not in ("pid", "scheduled-pid", "mpc"):
         return []
-    bounds = {key: f"{own:g}" for key in ("sensitivity", "complementary", "effort") if (own := getattr(options, key))}
-    knots = options.knots or ("1" if options.kind == "pid" else "")
-    own = {"knots": f"[{knots}]" if "," in knots else knots} if knots else {}
-    aim = {"objective": _text(options.objective)} if options.objective != "variance" else {}
-    said = _called([], bounds | own | aim | limits)
-    return ["from controllers import ScheduledPIDDesign", *first, f"law = ScheduledPIDDesign({said}).on(model)"]
+    first, on = [f"model = wb.load_model({_text(options.model)})"], ["model"]
+    if options.plant:
+        first, on = [*first, *_plant(options.plant)], ["model", "plant"]
+    said = {"sensitivity": f"{options.sensitivity:g}"}
+    if options.kind == "mpc":
+        if options.robust_to:
+            return []
+        said |= {key: own for key in ("horizon", "move") if (own := getattr(options, key)) is not None}
+        said |= {"keep": _ranges(options.keep)} if options.keep else {}
+        if options.fallback:
+            first = ["from controllers import load_controller", *first, f"fallback = load_controller({_text(options.fallback)})"]
+            said["fallback"] = "fallback"
+    else:
+        said |= {key: f"{getattr(options, key):g}" for key in ("complementary", "effort")} | _structure(options)
+        if options.robust_to:
+            said["robust_to"] = f"({', '.join(f'wb.load_model({_text(file)})' for file in options.robust_to)},)"
+    said |= {key: _numbers(own) for key in ("setpoint", "low", "high", "rate") if (own := getattr(options, key))}
+    kind = "MPCDesign" if options.kind == "mpc" else "ScheduledPIDDesign"
+    return [f"from controllers import {kind}", *first, f"law = {kind}({_called([], said)}).on({', '.join(on)})"]
+
+
+def _structure(options: Namespace) -> dict[str, str]:
+    """What a PID is made of, and what it is tried with, where it is not the usual."""
+    knots = options.knots or ("1" if options.kind == "pid" and options.at is None else "")
+    found = {"knots": f"[{options.at or knots}]" if options.at or "," in knots else knots} if options.at or knots else {}
+    found |= {"objective": _text(options.objective)} if options.objective != "variance" else {}
+    off = {"no_derivative": "derivative", "no_feedforward": "feedforward", "fixed_gains": "moving"}
+    found |= {key: "False" for option, key in off.items() if getattr(options, option)}
+    found |= {key: f"{own:g}" for key in ("filter", "load_every") if (own := getattr(options, key)) is not None}
+    found |= {"setpoint_weight": f"{options.setpoint_weight:g}"} if options.setpoint_weight != 1.0 else {}
+    found |= {key: _numbers(own) for key in ("reference_model", "slew", "load", "size") if (own := getattr(options, key))}
+    found |= {"steps": _numbers(options.step)} if options.step else {}
+    paths = [name for text in options.path for name in names(text)]
+    return found | ({"paths": f"({', '.join(map(_text, paths))},)"} if paths else {})
 
 
 def _check(options: Namespace) -> list[str]:
@@ -148,5 +172,19 @@ def _several(found: Sequence[str]) -> str:
 
 def _numbers(texts: Sequence[str]) -> str:
     """{"w3": 100.0} of w3=100,theta=0."""
+    return "{" + ", ".join(f"{_text(name)}: {_number(value)}" for name, value in _pairs(texts)) + "}"
+
+
+def _ranges(texts: Sequence[str]) -> str:
+    """{"theta": (-20, 20)} of theta=-20:20."""
+    ends = ((name, value.partition(":")) for name, value in _pairs(texts))
+    return "{" + ", ".join(f"{_text(name)}: ({_number(low)}, {_number(high)})" for name, (low, _, high) in ends) + "}"
+
+
+def _pairs(texts: Sequence[str]) -> list[tuple[str, str]]:
     pairs = (part.partition("=") for text in texts for part in text.split(","))
-    return "{" + ", ".join(f"{_text(name.strip())}: {value.strip()}" for name, _, value in pairs) + "}"
+    return [(name.strip(), value.strip()) for name, _, value in pairs]
+
+
+def _number(text: str) -> str:
+    return text if text.lower().lstrip("+-") not in ("inf", "infinity") else f'float("{text}")'

@@ -171,6 +171,14 @@ LINES = {
     "diagnose a.csv --plant plant.py:PLANT --holdout b.csv": "found = wb.diagnose(plant, data, held)",
     "design pid --model 02/lti.json --low U=-1,V=0 --sensitivity 1.4":
         'law = ScheduledPIDDesign(sensitivity=1.4, complementary=1.6, effort=3, knots=1, low={"U": -1, "V": 0}).on(model)',
+    "design scheduled-pid --model m.json --knots 3 --path q,v --slew q=2 --reference-model v=inf --load U=1 --no-derivative":
+        'law = ScheduledPIDDesign(sensitivity=1.6, complementary=1.6, effort=3, knots=3, derivative=False, '
+        'reference_model={"v": float("inf")}, slew={"q": 2}, load={"U": 1}, paths=("q", "v",)).on(model)',
+    "design pid --model m.json --at 0.02 --fixed-gains --plant web-winding --filter 0.1 --setpoint-weight 0.5 --robust-to h.json":
+        'law = ScheduledPIDDesign(sensitivity=1.6, complementary=1.6, effort=3, knots=[0.02], moving=False, filter=0.1, '
+        'setpoint_weight=0.5, robust_to=(wb.load_model("h.json"),)).on(model, plant)',
+    "design mpc --model m.json --keep y=-1:inf --fallback p.json --horizon 10 --move 0.1":
+        'law = MPCDesign(sensitivity=1.6, horizon=10, move=0.1, keep={"y": (-1, float("inf"))}, fallback=fallback).on(model)',
     "export pid.json --to c": 'law.export("c", "exported")',
 }  # fmt: skip
 
@@ -180,7 +188,8 @@ def test_the_python_lines_say_what_the_command_does(words):
     lines = python_lines(tuple(words.split()))
     assert LINES[words] in lines.splitlines()
     compile(lines, "lines", "exec")
-    assert python_lines(("nonsense",)) == ""
+    for words in ("nonsense", "design pid --model m.json --diagnosis d.json", "design mpc --model m.json --tube --records a.csv"):
+        assert python_lines(tuple(words.split())) == ""
 
 
 @pytest.mark.slow
