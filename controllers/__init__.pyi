@@ -1,6 +1,7 @@
 # The public list of `controllers`: every name and the module that it comes from, loaded when it is first used.
 
 from .compensation import compensated as compensated
+from .decided import decided as decided
 from .designs import MPCDesign as MPCDesign
 from .designs import ScheduledPIDDesign as ScheduledPIDDesign
 from .files import load_controller as load_controller

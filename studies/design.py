@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from controllers.compensation import ALONG, Compensated, compensated, moved_by
+from controllers.decided import Decided, decided
 from controllers.designs import MPCDesign, ScheduledPIDDesign, command_limits, setpoint_of
 from controllers.files import load_controller, save_controller
 from controllers.mpc import MPC, design_mpc
@@ -36,6 +37,7 @@ from workbench.provenance import provenance
 from workbench.report.blocks import Badge, Brief, Picture, Report, Section, Standing, Table
 from workbench.report.page import write_report
 from workbench.robustness.frozen import Margins, worst_margins
+from workbench.robustness.limits import load_limits
 from workbench.sources import read
 from workbench.steady import rests
 from workbench.verification.trial import OVERSHOOT, Trial, tried
@@ -49,6 +51,8 @@ def design(options: Namespace, say: Say, progress: Say) -> int:
     """Design the law that was asked for and write its files."""
     kind = check_known("controller", options.kind, KINDS)
     model, files = _model(options)
+    if not (options.tube or options.until) and options.records:
+        raise InputError("--records is for --tube and --until", mend="give one of them too, or leave --records out")
     if kind != "mpc" and options.tube:
         raise InputError("--tube is for mpc", mend="leave it out: only a linear prediction has a tube")
     if kind in ("mpc", "nmpc") and options.diagnosis:
@@ -79,6 +83,8 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
     """Writes <kind>.json, gains.csv, margins.csv and design.json."""
     chosen, model = _tried_on(options), core_of(whole)
     wanted = _wanted(options, kind, model)
+    until = _until(options, wanted, whole, say, progress)
+    wanted = replace(wanted, sensitivity=until.taken.sensitivity) if until else wanted
     found = wanted.design(whole, progress)
     progress("one run of the loop")
     found, trial = wanted.calmed(found, whole, chosen.plant if chosen else None)
@@ -136,7 +142,7 @@ def _design_pid(options: Namespace, kind: str, whole: Model, files: Sequence[str
         "deviation": {"loads": vars(found.loads), "reached": found.deviation, "best_linear_law": found.least,
                       "fixed_gains": found.unmoved},
         "trial": vars(trial), "compensations": [vars(own) for own in became],
-    }  # fmt: skip
+    } | _until_told(until)  # fmt: skip
     read = [
         *files,
         *options.robust_to,
@@ -208,7 +214,13 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
         fallback = _wanted(options, "scheduled-pid" if model.schedules else "pid", model).design(model, progress).law
     limits = _limits(options, model, fallback) | {"y_low": keep[0], "y_high": keep[1]}
     progress("the price of moves" if options.move is None else "weights")
-    wanted = MPCDesign(horizon=options.horizon, move=options.move, sensitivity=_above_one(options, "sensitivity"))
+    wanted = MPCDesign(
+        horizon=options.horizon, move=options.move, sensitivity=_above_one(options, "sensitivity"), **_limited(options),
+        keep={c.name: (a, b) for c, a, b in zip(model.outputs, *keep, strict=True)}, fallback=fallback,
+        setpoint=_given(options.setpoint),
+    )  # fmt: skip
+    until = _until(options, wanted, model, say, progress)
+    wanted = replace(wanted, sensitivity=until.taken.sensitivity) if until else wanted
     weights = wanted.weights(model, fallback)
     common = {"horizon": options.horizon, "weights": weights, **limits}
     if chosen and kind == "nmpc":
@@ -247,13 +259,35 @@ def _design_planning(options: Namespace, kind: str, model: LPVModel, say: Say, p
     read = [options.model, *options.robust_to, *files]
     result = {"kind": kind, "weights": vars(law.weights), "trial": vars(trial)} | tube
     result |= {"margins": vars(margins)} if isinstance(law, MPC) else {}
+    result |= _until_told(until)
     return _finished(options, folder, path, result, read, say) or code
+
+
+def _until(options: Namespace, wanted: Any, model: Model, say: Say, progress: Say) -> Decided | None:
+    """The design made calmer until every limit of --until is decided, and what was tried; None without one."""
+    if not options.until:
+        return None
+    others = {"--tube": options.tube, "--diagnosis": options.diagnosis, "nmpc": options.kind == "nmpc"}
+    if clash := [name for name, given in others.items() if given]:
+        raise InputError(f"--until with {clash[0]}", mend="leave one of both out: check says what is decided of such a law")
+    if not options.records:
+        raise InputError("--until without records", mend="give --records R.csv ..: they bound the model's errors")
+    bound = numbers(options.bound, "--bound")
+    found = decided(
+        wanted, model, load_limits(options.until), read(*options.records), lags=options.lags, bound=bound, progress=progress
+    )
+    for sentence in found.sentences:
+        say(sentence)
+    return found
+
+
+def _until_told(until: Decided | None) -> dict[str, Any]:
+    """What design.json says of the laws that were tried."""
+    return {"until": {"taken": until.taken.sensitivity, "attempts": list(until.sentences[:-1])}} if until else {}
 
 
 def _errors_of(options: Namespace, model: LPVModel, progress: Say) -> tuple[IntervalModel, ...] | None:
     """What the records leave open of the model's errors, for a tube; None without one."""
-    if not options.tube and options.records:
-        raise InputError("--records is for --tube", mend="give --tube too, or leave --records out")
     if not options.tube:
         return None
     if not options.records:

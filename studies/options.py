@@ -244,9 +244,17 @@ def _design(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--tube", action="store_true", help="mpc: tighten limits so that no error that --records leave open breaks them"
     )
-    sub.add_argument("--records", nargs="+", action="extend", default=[], metavar="RECORD", help="--tube: records for the errors")
-    sub.add_argument("--lags", type=_positive, default=1, help="--tube: samples of y and u that errors depend on (default 1)")
-    sub.add_argument("--bound", metavar="E,E", help="--tube: largest error of each output beyond its parameters")
+    sub.add_argument(
+        "--until",
+        metavar="LIMITS",
+        help="limits.toml: lower the bound of |S| until check decides all of it on the model and --records",
+    )
+    errors = "--tube, --until"
+    sub.add_argument(
+        "--records", nargs="+", action="extend", default=[], metavar="RECORD", help=f"{errors}: records for the errors"
+    )
+    sub.add_argument("--lags", type=_positive, default=1, help=f"{errors}: samples of y and u that errors depend on (default 1)")
+    sub.add_argument("--bound", metavar="E,E", help=f"{errors}: largest error of each output beyond its parameters")
     sub.add_argument("--fallback", metavar="FILE", help="mpc, nmpc: PID for when all else fails (default: designed here)")
     sub.add_argument("--robust-to", nargs="+", action="extend", default=[], metavar="MODEL", help="models that must be kept too")
     _accept(sub)
