@@ -331,10 +331,12 @@ class MPCDesign:
     def weights(self, model: LPVModel, fallback: ScheduledPID) -> Weights:
         """What outputs and moves count: at the price of moves that was asked for, or the lowest that keeps |S| within bounds.
 
-        Where no price keeps it, that of the least |S|.
+        Where no price keeps it, that of the least |S|; the lowest of all for a model that does not say how its errors go on.
         """
         if self.move is not None:
             return default_weights(model, self.move)
+        if model.predictor is None or model.noise is None:  # an MPC has no observer on it, a nonlinear one needs none
+            return default_weights(model, PRICES[0])
         grid = model.frozen_values(FINE if len(model.schedules) < 2 else FROZEN)
 
         @cache
