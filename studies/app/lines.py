@@ -67,22 +67,24 @@ def _diagnose(options: Namespace) -> list[str]:
 
 
 def _design(options: Namespace) -> list[str]:
-    if is_plant(options.model) or options.diagnosis or options.tube or options.kind not in ("pid", "scheduled-pid", "mpc"):
+    if is_plant(options.model) or options.diagnosis or options.tube or options.until or options.kind not in DESIGNS:
         return []
+    bounds = {key: f"{getattr(options, key):g}" for key in ("sensitivity", "complementary", "effort")}
     first, on = [f"model = wb.load_model({_text(options.model)})"], ["model"]
     if options.plant:
         first, on = [*first, *_plant(options.plant)], ["model", "plant"]
-    said = {"sensitivity": f"{options.sensitivity:g}"}
+    on += ["accept=True"] if options.accept else []
+    said = {"sensitivity": bounds["sensitivity"]}
     if options.kind == "mpc":
-        if options.robust_to:
-            return []
+        if not options.fallback and (bounds != USUAL or _structure(options) or options.robust_to):
+            return []  # they are the fallback's, which the design makes with the usual ones
         said |= {key: own for key in ("horizon", "move") if (own := getattr(options, key)) is not None}
         said |= {"keep": _ranges(options.keep)} if options.keep else {}
         if options.fallback:
             first = ["from controllers import load_controller", *first, f"fallback = load_controller({_text(options.fallback)})"]
             said["fallback"] = "fallback"
     else:
-        said |= {key: f"{getattr(options, key):g}" for key in ("complementary", "effort")} | _structure(options)
+        said = bounds | _structure(options)
         if options.robust_to:
             said["robust_to"] = f"({', '.join(f'wb.load_model({_text(file)})' for file in options.robust_to)},)"
     said |= {key: _numbers(own) for key in ("setpoint", "low", "high", "rate") if (own := getattr(options, key))}
@@ -130,6 +132,9 @@ def _export(options: Namespace) -> list[str]:
         f"law.export({_text(options.to)}, {_text(options.out or 'exported')})",
     ]
 
+
+#: Laws that a design of `controllers` makes, and the bounds that it keeps where none are said.
+DESIGNS, USUAL = ("pid", "scheduled-pid", "mpc"), {"sensitivity": "1.6", "complementary": "1.6", "effort": "3"}
 
 #: What writes the lines of a command.
 LINES: dict[str, Callable[[Namespace], list[str]]] = {

@@ -179,6 +179,7 @@ LINES = {
         'setpoint_weight=0.5, robust_to=(wb.load_model("h.json"),)).on(model, plant)',
     "design mpc --model m.json --keep y=-1:inf --fallback p.json --horizon 10 --move 0.1":
         'law = MPCDesign(sensitivity=1.6, horizon=10, move=0.1, keep={"y": (-1, float("inf"))}, fallback=fallback).on(model)',
+    "design mpc --model m.json --accept": 'law = MPCDesign(sensitivity=1.6, horizon=20).on(model, accept=True)',
     "export pid.json --to c": 'law.export("c", "exported")',
 }  # fmt: skip
 
@@ -188,7 +189,12 @@ def test_the_python_lines_say_what_the_command_does(words):
     lines = python_lines(tuple(words.split()))
     assert LINES[words] in lines.splitlines()
     compile(lines, "lines", "exec")
-    for words in ("nonsense", "design pid --model m.json --diagnosis d.json", "design mpc --model m.json --tube --records a.csv"):
+    nothing = (
+        "nonsense", "design pid --model m.json --diagnosis d.json", "design mpc --model m.json --tube --records a.csv",
+        "design pid --model m.json --until limits.toml --records a.csv", "design mpc --model m.json --sensitivity 1.4",
+        "design mpc --model m.json --filter 0.1",
+    )  # fmt: skip
+    for words in nothing:
         assert python_lines(tuple(words.split())) == ""
 
 
