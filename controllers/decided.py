@@ -91,7 +91,8 @@ def decided(
         sensitivity = 1.0 + CALMER**number * (design.sensitivity - 1.0)
         progress(f"|S| within {sensitivity:.3g}")
         try:
-            law = _on(replace(design, sensitivity=sensitivity), model)
+            calmer: Any = replace(design, sensitivity=sensitivity)
+            law = calmer.on(model, accept=True)  # whatever one run of its loop said: `check` tries it too
         except InputError as reason:
             if not attempts:
                 raise
@@ -125,8 +126,3 @@ def _left(attempt: Attempt) -> list[int]:
 
 def _missing(verdict: Verdict) -> str:
     return f" ({f'{verdict.margin:+.3g} {verdict.unit}'.strip()})" if math.isfinite(verdict.margin) else ""
-
-
-def _on(design: Any, model: Model) -> Any:
-    """The law, whatever one run of its loop said: `check` tries it too."""
-    return design.on(model, accept=True)

@@ -220,10 +220,13 @@ def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Sta
     model, pid, mpc, limits = "models/ssm.json", "pid/scheduled-pid.json", "mpc/mpc.json", "limits.toml"
     machine = ("--plant", "diagnosis/extended.json", "--fitted", "diagnosis/diagnosis.json")
     kinds = ("--model", "ssm", "--order", "5") if quick else ("--model", "all")
-    tried = ("--nodes", "2", "--runs", "20") if quick else ()
 
     def loop(law: str) -> tuple[str, ...]:
         return ("simulate", "diagnosis/extended.json", "--controller", law, "--limits", limits, "--seed", "1")
+
+    def checked(law: str, runs: str) -> tuple[str, ...]:
+        fewer = ("--nodes", "2", "--runs", runs) if quick else ()
+        return ("check", "--controller", law, "--limits", limits, "--model", model, "--records", *own, *machine, *fewer)
 
     return (
         Stage("diagnosis", ("diagnose", *own, "--plant", WEB_WINDING.name, "--holdout", *held)),
@@ -239,15 +242,8 @@ def chain(split: Split, setpoint: Mapping[str, float], quick: bool) -> tuple[Sta
         Stage("mpc", ("design", "mpc", "--model", model, *COMMANDS, "--keep", kept, "--fallback", pid)),
         Stage("loop-pid", loop(pid)),
         Stage("loop-mpc", loop(mpc)),
-        Stage(
-            "check-pid",
-            ("check", "--controller", pid, "--limits", limits, "--model", model, "--records", *own, *machine, *tried),
-        ),
-        Stage(
-            "check-mpc",
-            ("check", "--controller", mpc, "--limits", limits, "--model", model, "--records", *own, *machine,
-             *(("--nodes", "2", "--runs", "6") if quick else ())),
-        ),
+        Stage("check-pid", checked(pid, "20")),
+        Stage("check-mpc", checked(mpc, "6")),
     )  # fmt: skip
 
 

@@ -20,12 +20,12 @@ from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import FIR
 from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import OperatingPoint, Predictor, Term, constant_model
-from workbench.robustness.envelopes.constant import constant
+from workbench.robustness.envelopes.constant import constant_kernel
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.frozen import worst_margins
 from workbench.robustness.limits import limits_of
 from workbench.robustness.linear_law import affine_of, without_linear_form
-from workbench.robustness.loop import PLANNED, course_of
+from workbench.robustness.loop import course_of
 from workbench.robustness.verdict import Bound, Region, Status, bounds_kept
 from workbench.verification.model import Open, on_model
 
@@ -261,14 +261,14 @@ def attacked(seed) -> dict[str, int]:
     p, size = len(machine.centre), r.shape[1]
     own = course_of(known, errors, controller, machine.rho, r, noise=True)
     form = affine_of(controller, machine.rho[0])
-    region = Region(tuple(f"{PLANNED} {i}" for i in range(len(form.w))), form.low, form.high)
+    region = Region.of(form)
     still = random.choice([-1.0, 1.0], (12, p))
     delta = np.repeat(still[:, None], plain.N, axis=1)
     delta[:, :, machine.noise] = random.choice([-1.0, 1.0], (12, plain.N, int(machine.noise.sum())))
     moving = random.choice([-1.0, 1.0], (8, plain.N, p))
     v = run(machine, controller, r, np.concatenate([delta, moving]), np.concatenate([still, random.choice([-1.0, 1.0], (8, p))]))
     outer = kernel(own)
-    inner = constant(own, outer)
+    inner = constant_kernel(own, outer)
     for i in range(2 * size):
         for side in (-1, 1):
             high = side * outer.nominal.v[:, i] + inner.half[:, i]
@@ -323,7 +323,7 @@ def test_limits_of_a_plan_end_the_proof_where_they_may_act():
         tight = replace(controller, low=np.minimum(u.min(axis=0), u[0]) - 1e-6, high=u.max(axis=0) - 0.2 * np.ptp(u, axis=0))
         own = course_of(known, errors, tight, machine.rho, r, noise=True)
         form = affine_of(tight, machine.rho[0])
-        region = Region(tuple(f"{PLANNED} {i}" for i in range(len(form.w))), form.low, form.high)
+        region = Region.of(form)
         name = own.signals[0]
         bound = Bound(name, name, "", np.full(plain.N, -1e3), np.full(plain.N, 1e3))
         (kept,) = bounds_kept(own, [bound], region=region, of="", dt=plain.DT, possible=np.zeros((1, own.f.shape[1])))

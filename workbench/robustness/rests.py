@@ -68,11 +68,10 @@ def holding(
 
     channels: rows s (J p) of signs of each, and whether the bound is their sum instead of their maximum.
     """
-    left, right = exact(np.eye(len(A))) - A, np.column_stack([rest.q, rest.Q, B])
-    try:
-        inverse = np.linalg.inv(left.mid)
-    except np.linalg.LinAlgError:
+    if (found := _inverted(A)) is None:
         return None
+    left, inverse = found
+    right = np.column_stack([rest.q, rest.Q, B])
     X = inverse @ right
     X[:, 0] = start
     J = np.hstack([rest.f[:, None], rest.J, np.zeros((len(rest.f), B.shape[1]))])
@@ -88,16 +87,23 @@ def remaining(
 
     w_j is what the parameters of channel j make of C x, and besides at most own_j (J) for each of its rows of signs.
     """
-    left = exact(np.eye(len(A))) - A
-    try:
-        inverse = np.linalg.inv(left.mid)
-    except np.linalg.LinAlgError:
+    if (found := _inverted(A)) is None:
         return None
+    left, inverse = found
     X = np.column_stack([np.zeros(len(A)), inverse @ B])
     residual = exact(np.column_stack([np.zeros(len(A)), B])) - left @ X
     wider = np.column_stack([missed, np.zeros(B.shape)])
     residual = residual + Interval(-wider, wider)
     return _bounded(left, inverse, X, residual, C, np.zeros((len(C), X.shape[1])), lam, channels, own)
+
+
+def _inverted(A: np.ndarray) -> tuple[Interval, np.ndarray] | None:
+    """I - A, and what is about its inverse; None where it has none."""
+    left = exact(np.eye(len(A))) - A
+    try:
+        return left, np.linalg.inv(left.mid)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _bounded(

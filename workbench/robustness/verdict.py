@@ -27,17 +27,19 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from workbench.errors import InputError
 from workbench.records import field, record
 from workbench.robustness.envelopes.adversary import worst
-from workbench.robustness.envelopes.constant import constant
+from workbench.robustness.envelopes.constant import constant_kernel
 from workbench.robustness.envelopes.course import Course, explained, replay
 from workbench.robustness.envelopes.dual import dual
-from workbench.robustness.envelopes.kernel import Kernel, kernel, rested
+from workbench.robustness.envelopes.kernel import Kernel, at_rest, kernel
+from workbench.robustness.linear_law import Affine
+from workbench.robustness.loop import PLANNED
 from workbench.robustness.margins import Falsified, Margin
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
@@ -159,8 +161,13 @@ class Region:
     low: np.ndarray = field("k", low=-np.inf)
     high: np.ndarray = field("k", high=np.inf)
 
+    @classmethod
+    def of(cls, form: Affine) -> "Region":
+        """Where a law is this affine form of it, by the signals that `driven` calls so."""
+        return cls(tuple(f"{PLANNED} {i}" for i in range(len(form.w))), form.low, form.high)
 
-NOWHERE_ELSE = Region((), np.empty(0), np.empty(0))
+
+EVERYWHERE = Region((), np.empty(0), np.empty(0))
 
 
 @record
@@ -205,7 +212,7 @@ def bounds_kept(
     bounds: Sequence[Bound],
     stops: Sequence[Bound] = (),
     *,
-    region: Region = NOWHERE_ELSE,
+    region: Region = EVERYWHERE,
     of: str,
     dt: float,
     possible: np.ndarray | None = None,
@@ -236,7 +243,7 @@ def bounds_kept(
         tried = furthest if moving else tried
         kept = _judged(of_any, bound, tried, furthest)
         if kept.verdict.status is Status.UNDECIDED and tried is not furthest:
-            of_constant = of_constant or _proved(course, constant(course, outer), linear, of, dt, True, progress)
+            of_constant = of_constant or _proved(course, constant_kernel(course, outer), linear, of, dt, True, progress)
             kept = _judged(of_constant, bound, tried, furthest)
         found.append(kept)
     return found
@@ -341,16 +348,17 @@ class _Linear(NamedTuple):
         """The first sample (R) of runs that is not the linear law's; after that the run is not either."""
         v = tried.v
         own = v[:, :, [course.number(name) for name in self.region.signals]]
-        beyond = np.any((own < self.region.low) | (own > self.region.high), axis=2)
+        beyond = np.asarray((own < self.region.low) | (own > self.region.high)).any(axis=2)
         for stop in self.stops:
             command = v[:, :, course.number(stop.signal)]
             beyond = beyond | (command < stop.low) | (command > stop.high)
-        rest = course.rested(tried.before, tried.share)
-        begun = np.array([course.before is None or not self.ends(course, one, one) for one in rest])
-        return np.array([_first(beyond[row]) if begun[row] else 0 for row in range(len(v))], dtype=int)
+        if course.before is not None:
+            rest = course.rested(course.before, tried.before, tried.share)
+            beyond = beyond | np.array([self.ends(course, one, one) for one in rest])[:, None]
+        return np.array([_first(row) for row in np.asarray(beyond)], dtype=int)
 
 
-def _first(at: Any) -> int:
+def _first(at: np.ndarray) -> int:
     """The first sample of (N,) at which something is; N where it never is."""
     return int(at.argmax()) if at.any() else len(at)
 
@@ -375,8 +383,8 @@ def _proved(
 ) -> _Proved:
     own = [course.number(name) for name in linear.region.signals]
     within = (outer.low[:, own] >= linear.region.low) & (outer.high[:, own] <= linear.region.high)
-    free = _first(~np.all(within, axis=1))
-    if course.before is not None and outer.start is not None and linear.ends(course, *rested(course, outer.start)):
+    free, before = _first(np.asarray(~np.all(within, axis=1))), course.before
+    if before is not None and outer.start is not None and linear.ends(course, *at_rest(course, before, outer.start)):
         free = 0
     for stop in linear.stops:
         progress(stop.claim)

@@ -29,7 +29,7 @@ from workbench.robustness.frequency import Closed, disk_margin
 from workbench.robustness.frozen import feedback_of, worst_margins
 from workbench.robustness.limits import Limit, LoopLimits, Manoeuvre, settled
 from workbench.robustness.linear_law import LinearLaw, affine_of, check_law, without_linear_form
-from workbench.robustness.loop import PLANNED, RATE_OF, driven, interpolated
+from workbench.robustness.loop import RATE_OF, driven, interpolated
 from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Falsified, Margin, margin
 from workbench.robustness.schedules import scheduled_margin
@@ -327,7 +327,7 @@ def _bounds(found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, run: 
         said = "the law itself never commands beyond it"
         found.verdicts.append(Verdict(", ".join(bound.claim for bound in clipped), of, Status.PROVED, 0.0, "", said))
     form, model = affine_of(law, run.rho[0] if law.schedule else None), left.model
-    region = Region(tuple(f"{PLANNED} {i}" for i in range(len(form.w))), form.low, form.high)
+    region = Region.of(form)
     stops = _stops(law, model, len(run.references)) if not len(form.w) else []  # a law that plans has them in its plan
     rates = tuple(dict.fromkeys(b.signal.removeprefix(RATE_OF) for b in (*wanted, *stops) if b.signal.startswith(RATE_OF)))
     noise = limits.run.seed is not None
@@ -439,8 +439,7 @@ def _broken(own: Course, kept: Kept, passage: Passage) -> Broken:
 
 def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Channel], dt: float) -> list[Block]:
     """Every signal with a bound: band, worst runs, bounds."""
-    run = kept[0].outer.nominal.v if kept else np.empty((0, 0))
-    t, blocks = dt * np.arange(len(run)), []
+    blocks = []
     for signal in dict.fromkeys(k.bound.signal for k in kept):
         i = own.number(signal)
         mine = [k for k in kept if k.bound.signal == signal]
@@ -450,7 +449,7 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
             for side, pick in (("low", np.max), ("high", np.min))
         }
         tightest = max(mine, key=lambda k: k.constant)
-        outer = tightest.outer
+        outer, t = tightest.outer, dt * np.arange(len(own))
         name = signal.removeprefix(RATE_OF)
         unit = channels[name].unit + "/s" * signal.startswith(RATE_OF)
         which = (
@@ -464,7 +463,7 @@ def _envelope_pictures(own: Course, kept: Sequence[Kept], channels: dict[str, Ch
         )
         blocks.append(
             figures.guaranteed(
-                f"{signal} along the run", t, Channel(signal, unit, "output"), run[:, i], outer.low[:, i],
+                f"{signal} along the run", t, Channel(signal, unit, "output"), outer.nominal.v[:, i], outer.low[:, i],
                 outer.high[:, i], runs, {n: v for n, v in limits.items() if np.isfinite(v).any()}, caption,
             )
         )  # fmt: skip

@@ -24,7 +24,7 @@ from workbench.intervals.model import IntervalModel, Mode, Unrefuted
 from workbench.intervals.regressors import ARX, FIR
 from workbench.intervals.semantics import ParameterBox
 from workbench.lpv import LPVModel, OperatingPoint, Predictor, Term
-from workbench.robustness.envelopes.constant import constant as of_constants
+from workbench.robustness.envelopes.constant import constant_kernel
 from workbench.robustness.envelopes.course import Course
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.loop import course, course_of, driven, with_rates
@@ -417,7 +417,7 @@ def attacked(seed) -> dict[str, int]:
     if loop is None:
         return count
     outer, constant = kernel(loop.course), constants(loop, random)
-    inner = of_constants(loop.course, outer)
+    inner = constant_kernel(loop.course, outer)
     signal, side = loop.signals[int(random.integers(len(loop.signals)))], int(random.choice([-1, 1]))
     i = loop.signals.index(signal)
     still = attack(loop, random, constant, signal, side, moving=False)

@@ -17,7 +17,7 @@ from workbench.robustness.envelopes import kernel as kernel_module
 from workbench.robustness.envelopes.adversary import worst
 from workbench.robustness.envelopes.course import Course, nominal, replay
 from workbench.robustness.envelopes.dual import dual
-from workbench.robustness.envelopes.kernel import kernel, rested, starts
+from workbench.robustness.envelopes.kernel import at_rest, kernel, starts
 from workbench.robustness.envelopes.problem import Problem
 from workbench.robustness.rests import Rest
 
@@ -120,14 +120,14 @@ def test_what_is_watched_at_every_rest_is_between_its_bounds(seed, g):
     """E x + v + V e + F w without rounding, and the bounds are nearly reached where little is open."""
     for lam in (0.05, 1e-3):
         course = resting(seed, g=g, lam=lam)
-        low, high = rested(course, starts(course))
+        low, high = at_rest(course, course.before, starts(course))
         rest, i, reached = course.before, course.modes[0], []
         for delta, e in zip(*points(course, 20, seed), strict=True):
             x, w = exact_rest(course, delta, e)
             v = rational(course.E[i]) @ x + rational(rest.v) + rational(rest.V) @ rational(e) + rational(course.F[i]) @ w
             assert rational(low)[0] <= v[0] <= rational(high)[0]
             reached.append(float(v[0]))
-            assert course.rested(delta[None], e[None])[0, 0] == pytest.approx(float(v[0]), rel=1e-9, abs=1e-9)
+            assert course.rested(course.before, delta[None], e[None])[0, 0] == pytest.approx(float(v[0]), rel=1e-9, abs=1e-9)
         assert high[0] - low[0] <= 4.0 * np.ptp(reached)
 
 

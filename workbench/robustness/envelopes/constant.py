@@ -23,14 +23,14 @@ import numpy as np
 from workbench.records import field, record
 from workbench.robustness import rests
 from workbench.robustness.envelopes.course import Course, explained
-from workbench.robustness.envelopes.kernel import HUGE, Drive, Kernel, carried, channels_of, rounded_run, rounding
+from workbench.robustness.envelopes.kernel import HUGE, Drive, Kernel, carried, channels_of, rounded_run, rounding, rows_of
 from workbench.robustness.rests import TINY, Start
 
 DEGREE = 3  # of the power series, at most
 TERMS = 800  # of it, at most: beyond, its degree is lower
 
 
-def constant(course: Course, outer: Kernel) -> Kernel:
+def constant_kernel(course: Course, outer: Kernel) -> Kernel:
     """The kernel of all runs whose explained parameters stand still, nowhere wider than `outer`, that of parameters that move.
 
     Parameters are shares of their boxes in all modes: they stand still where the boxes do.
@@ -38,7 +38,7 @@ def constant(course: Course, outer: Kernel) -> Kernel:
     series = _series(course)
     if outer.start is None or not series.degrees[-1]:
         return outer
-    rows = np.concatenate([signs for signs, _ in channels_of(course)])
+    rows = rows_of(course)
     own, missed, unseen = rounded_run(course, outer.nominal, rows, ~explained(course))
     with np.errstate(over="ignore", invalid="ignore"):
         start, begun = _begun(course, series)

@@ -123,12 +123,11 @@ class Course:
         start[at] = np.linalg.solve(left, (q + (BD @ f[..., None])[..., 0])[..., None])[..., 0]
         return start
 
-    def rested(self, delta: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """The watched signals (R s) at the rests where runs begin, as in `begun`; of a known start those of the first sample."""
-        x, i, before = self.begun(delta, share), int(self.modes[0]), self.before
-        f, v = (self.f[0], self.g[0]) if before is None else (before.f + share @ before.J.T, before.v + share @ before.V.T)
-        w = (delta * self.lam[i] * (x @ self.C[i].T + f)) @ self.members
-        return x @ self.E[i].T + v + w @ self.F[i].T
+    def rested(self, before: Rest, delta: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """The watched signals (R s) at the rests `before` the run, where it begins: see `begun`."""
+        x, i = self.begun(delta, share), int(self.modes[0])
+        w = (delta * self.lam[i] * (x @ self.C[i].T + before.f + share @ before.J.T)) @ self.members
+        return x @ self.E[i].T + before.v + share @ before.V.T + w @ self.F[i].T
 
     def number(self, signal: str) -> int:
         """Which of the watched signals it is."""

@@ -11,15 +11,13 @@ T, and the n columns T_i with these weights are carried along like any other. No
 for every loop and only costs width, so it is made where it costs nearly none. The equations are those of `course`.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from workbench.intervals.propagation import MOST_SIGNS
 from workbench.records import field, record
 from workbench.robustness import rests
 from workbench.robustness.envelopes.course import Course, Nominal, nominal
-from workbench.robustness.rests import TINY, Start
+from workbench.robustness.rests import TINY, Rest, Start
 
 AGE = 64  # samples after which columns of the kernel may be exchanged for a box
 WIDER = 1e-4  # by which one exchange may widen what is seen, relative
@@ -76,16 +74,14 @@ def kernel(course: Course) -> Kernel:
     unit being above the rounding of the longest sum, and TINY above what underflow takes. Before the box grows much, for |A| may
     have no decay, it becomes n columns.
     """
-    run, channels = nominal(course), channels_of(course)
-    rows = np.concatenate([signs for signs, _ in channels])  # (J p)
-    return carried(course, run, Drive(*rounded_run(course, run, rows, np.ones(rows.shape[1])), _start(course, channels)))
+    run, rows = nominal(course), rows_of(course)
+    return carried(course, run, Drive(*rounded_run(course, run, rows, np.ones(rows.shape[1])), starts(course)))
 
 
 def carried(course: Course, run: Nominal, drive: Drive) -> Kernel:
     """The bounds of what a drive moves around a run; see `kernel`."""
     m, channels = course.modes, channels_of(course)
-    (N, n), c, s = course.q.shape, course.B.shape[2], len(course.signals)
-    rows = np.concatenate([signs for signs, _ in channels])  # (J p)
+    (N, n), c, s, rows = course.q.shape, course.B.shape[2], len(course.signals), rows_of(course)
     ends = np.cumsum([0, *(len(signs) for signs, _ in channels)])
     look = np.concatenate([(rows * course.lam[:, None]) @ course.C, course.E], axis=1)  # (M J+s n)
     unit = rounding(n + course.f.shape[1])
@@ -161,18 +157,19 @@ def _first_columns(begun: Start, c: int) -> tuple[np.ndarray, np.ndarray, np.nda
 
 def starts(course: Course) -> Start | None:
     """A set that holds every start of the course, or None where none is proved to."""
-    return _start(course, channels_of(course))
+    if course.before is None:
+        return rests.known(len(course.start))
+    i = int(course.modes[0])
+    return rests.holding(course.before, course.A[i], course.B[i], course.C[i], course.lam[i], course.start, channels_of(course))
 
 
-def rested(course: Course, start: Start) -> tuple[np.ndarray, np.ndarray]:
+def at_rest(course: Course, before: Rest, start: Start) -> tuple[np.ndarray, np.ndarray]:
     """Between which values (s) each the watched signals are before the run, at the rest of any machine of the boxes.
 
     E x + v + V e + F w with x in start + spread (e, w) + r, and the same w.
     """
-    before, i = course.before, int(course.modes[0])
+    i = int(course.modes[0])
     E = course.E[i]
-    if before is None:
-        return np.full(len(course.signals), -np.inf), np.full(len(course.signals), np.inf)
     g, unit = before.Q.shape[1], rounding(len(course.start) + course.f.shape[1])
     through = E @ start.spread
     through[:, :g] += before.V
@@ -194,16 +191,14 @@ def window_start(course: Course, first: int, outer: Kernel | None) -> Start | No
     return Start(np.eye(len(box)), box, np.zeros(len(box))) if np.isfinite(box).all() else None
 
 
-def _start(course: Course, channels: Sequence[tuple[np.ndarray, bool]]) -> Start | None:
-    if course.before is None:
-        return rests.known(len(course.start))
-    i = int(course.modes[0])
-    return rests.holding(course.before, course.A[i], course.B[i], course.C[i], course.lam[i], course.start, channels)
-
-
 def channels_of(course: Course) -> list[tuple[np.ndarray, bool]]:
     """Of every channel its rows of signs (J p), and whether a bound is their sum instead of their maximum."""
     return [_signs(np.flatnonzero(course.channel == j), course) for j in range(course.B.shape[2])]
+
+
+def rows_of(course: Course) -> np.ndarray:
+    """The rows of signs (J p) of all channels, one after the other."""
+    return np.concatenate([signs for signs, _ in channels_of(course)])
 
 
 def rounding(terms: int) -> float:

@@ -11,14 +11,14 @@ from tests.workbench.robustness.envelopes.courses import scalar, signs, some, wi
 from tests.workbench.robustness.envelopes.test_kernel import exactly
 from workbench.robustness.envelopes import constant as module
 from workbench.robustness.envelopes.adversary import worst
-from workbench.robustness.envelopes.constant import constant
+from workbench.robustness.envelopes.constant import constant_kernel
 from workbench.robustness.envelopes.course import Course, explained, replay
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.rests import Rest
 
 
 def inner_of(course):
-    return constant(course, kernel(course))
+    return constant_kernel(course, kernel(course))
 
 
 def resting(seed, *, open_=0, noise=0.0, gain=0.5, N=30, M=1) -> Course:
@@ -113,7 +113,7 @@ def test_the_bound_is_hardly_wider_than_the_worst_constant_parameters(seed, open
     for gain, allowed in ((0.1, 1.3), (0.01, 1.06)):
         course = resting(seed, open_=open_, gain=gain)
         outer = kernel(course)
-        inner = constant(course, outer)
+        inner = constant_kernel(course, outer)
         corners = np.array(list(product([-1.0, 1.0], repeat=4 + open_)))
         delta, share = np.column_stack([corners[:, :4], np.zeros(len(corners))]), corners[:, 4:]
         v = replay(course, np.repeat(delta[:, None], len(course), axis=1), course.begun(delta, share))
@@ -131,7 +131,7 @@ def test_it_is_the_geometric_series_of_one_state():
     assert top - 1e-9 <= inner.high[-1, 0] <= top + 0.01
     slow = scalar(-a, lam, 60, q=1.0, start=0.0)  # alternating: constant parameters reach less than moving ones
     outer = kernel(slow)
-    inner = constant(slow, outer)
+    inner = constant_kernel(slow, outer)
     ends = [1.0 / (1.0 + a - one * lam) for one in (-1.0, 1.0)]
     assert inner.low[-1, 0] <= ends[0] + 1e-9
     assert inner.high[-1, 0] >= ends[1] - 1e-9
@@ -145,7 +145,7 @@ def test_errors_that_no_parameter_explains_move_at_every_sample(seed):
     course = resting(seed, noise=0.3, gain=0.3)
     assert not explained(course)[4]
     outer = kernel(course)
-    inner = constant(course, outer)
+    inner = constant_kernel(course, outer)
     for delta in np.column_stack([signs(4), np.zeros(16)]):
         fixed = course.at(delta)
         found = worst(fixed, [(name, k, side) for name in course.signals for k in (1, 12, 29) for side in (-1, 1)])
@@ -212,7 +212,7 @@ def test_nothing_is_said_where_nothing_is_known():
     assert inner_of(wild).half is kernel(wild).half or np.array_equal(inner_of(wild).half, kernel(wild).half)
     growing = scalar(5.0, 0.1, 400, q=1.0, start=1.0)
     outer = kernel(growing)
-    inner = constant(growing, outer)
+    inner = constant_kernel(growing, outer)
     assert np.isinf(inner.half[-1]).all()
     assert np.all(inner.half <= outer.half)
     still = replace(course, lam=0.0 * course.lam)
