@@ -200,7 +200,7 @@ class CheckResult(Answer):
         pictures = [block for part in self.parts for block in part.blocks if isinstance(block, Picture)]
         return Brief(
             f"Is the loop with {self.controller.name} safe on every machine that is left open?",
-            _todo(self.controller.name, self.status, self.verdicts, self.trial),
+            _todo(self.controller.name, self.status, self.parts, self.trial),
             (*(badge(part.title, part.verdicts) for part in self.parts if part.verdicts), run_badge(self.trial)),
             _nearest(self.verdicts, pictures),
         )
@@ -270,14 +270,14 @@ STANDING = {
 DECIDES = "More records, a calmer law (design with a lower --sensitivity) or a wider limit decide it."
 
 
-def _todo(name: str, status: Status, verdicts: Sequence[Verdict], trial: Trial) -> str:
+def _todo(name: str, status: Status, parts: Sequence[Part], trial: Trial) -> str:
     """What to do with the law."""
     if trial.lost:
         return f"Do not switch {name} on: one run of the loop is lost."
-    worst = [v.claim for v in verdicts if v.status is status]
+    worst = [v.claim for part in parts for v in part.verdicts if v.status is status]
     which = f"{'; '.join(worst[:2])}{f' and {len(worst) - 2} more' if len(worst) > 2 else ''}"
-    on_model = [v.status for v in verdicts if not v.of.startswith("plant")]
-    if status is Status.PASSED and on_model and all(own is Status.PROVED for own in on_model):
+    of_model = {v.status for part in parts if part.title == TITLE for v in part.verdicts}
+    if status is Status.PASSED and of_model == {Status.PROVED}:
         return (
             f"Everything that was asked of {name} is proved on the identified model, while no command is at its limit; on the "
             "simulated plant nothing broke it."

@@ -9,6 +9,8 @@ from workbench.answers.check import _todo, verdict_table
 from workbench.answers.verdict import sizes
 from workbench.diagnosis.answer import Estimate
 from workbench.robustness.verdict import Status, Verdict, overall
+from workbench.verification import model, plant
+from workbench.verification.part import Part
 from workbench.verification.trial import Trial
 
 
@@ -42,6 +44,8 @@ def test_an_interval_is_told_in_the_digits_that_it_takes():
 )
 def test_the_first_line_of_a_check_says_what_is_proved_and_where(verdicts, said):
     own = [Verdict("c", f"{of} m", Status[status], 0.0, "", "s") for of, status in map(str.split, verdicts.split(", "))]
-    assert said in _todo("law", overall(own), own, Trial("m", "", "kept", np.zeros(1), np.zeros(1)))
+    titles = {"model m": model.TITLE, "plant m": plant.TITLE}
+    parts = [Part(title, tuple(v for v in own if v.of == of)) for of, title in titles.items()]
+    assert said in _todo("law", overall(own), parts, Trial("m", "", "kept", np.zeros(1), np.zeros(1)))
     assert verdict_table(own).header[-1] == "what it rests on"
     assert verdict_table([own[0].shown_by("x.json")]).header[-1] == "file"
