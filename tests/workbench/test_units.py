@@ -124,6 +124,11 @@ def test_a_diagnosis_of_a_log_in_other_units_is_that_of_the_plants_own():
     m1 = [next(q.value for q in one.plant.parameters if q.name == "m1") for one in found]
     assert m1[1] == pytest.approx(m1[0], rel=1e-6)
     assert sum("by its header" in note for note in found[1].records.notes) == 1
+    held = prepared(
+        plant, Dataset((other,)), Dataset((measured(plant, "rbs", 4),)), None, False
+    )  # only one of the two is converted
+    assert held.held_out is not None
+    assert [c.unit for c in held.own.experiments[0].channels] == [c.unit for c in held.held_out.experiments[0].channels]
 
 
 @pytest.mark.parametrize(("name", "unit"), [("v", "mm/s"), ("v", "km/h"), ("v", "cm/s"), ("u", "kN")])

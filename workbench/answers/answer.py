@@ -178,9 +178,9 @@ def prepared(plant: Plant, own: Dataset, held_out: Dataset | None, dt: float | N
     units = {c.name: c.unit for c in (*plant.inputs, *plant.outputs)}
     own, told = thinned(as_dataset(own), dt, plant)
     held_out = None if held_out is None else thinned(as_dataset(held_out), own.dt if told else dt, plant)[0]
-    if held_out:
-        check_held_out(own, held_out)
     sets = [(read, in_units(read, units)) for read in (own, held_out) if read]
+    if held_out:
+        check_held_out(sets[0][1], sets[1][1])
     notes = [note for _, one in sets for note in one.notes] + [f"{', '.join(own.names)}: {told}"] * bool(told)
     notes += [str(note) for read, one in sets for note in check(plant, one, read=read, anyway=anyway)]
     return Records(sets[0][1], sets[1][1] if held_out else None, tuple(notes))
