@@ -35,10 +35,10 @@ from workbench.diagnosis.experiments import Template
 from workbench.diagnosis.findings import Found, forgiven, judged, searched, tells, with_free_runs, with_rounding
 from workbench.diagnosis.fit import gauss_newton
 from workbench.diagnosis.free_run import filtered
-from workbench.diagnosis.policy import ALPHA, HELPFUL, LONG_RUN, TIE
+from workbench.diagnosis.policy import ALPHA, HELPFUL, LONG_RUN, MATTERS_ALONE, TIE
 from workbench.diagnosis.predictor import predictor
 from workbench.diagnosis.recalibrate import recalibrated
-from workbench.diagnosis.referee import Judge, as_given
+from workbench.diagnosis.referee import Judge, as_given, improved
 from workbench.diagnosis.refit import Model, lasting, settled, with_coloured_noise
 from workbench.diagnosis.rounding import rounded
 from workbench.diagnosis.screen import similarity
@@ -165,7 +165,7 @@ def _answered(plant: Plant, found: Found, given: Model, judge: Judge, laws: Mapp
     """
     base, model, steps, tested = found.base, found.model, found.steps, found.tested
     objections = judge.objections("extended" if steps else "recalibrated", given, model)
-    kept = bool(objections) and not steps  # what names nothing must not bend parameters either
+    kept = () if steps else _against_bent_parameters(given, model, judge, objections)
     rounds = tuple(rounded_cause(plant, r) for r in rounded(filtered(model).predictor))
     whole = sum(float(np.sum(e**2)) for e in base.fit.errors)
     beyond = beyond_tolerance(base, model)
@@ -192,12 +192,19 @@ def _answered(plant: Plant, found: Found, given: Model, judge: Judge, laws: Mapp
             *([str(found.unresolved)] if found.unresolved and found.finding in (Finding.UNKNOWN, Finding.INCOMPLETE) else []),
             *map(str, found.refused),
             *exchanges(steps),
-            *(f"the plant keeps its own parameters: {objection}" for objection in objections if kept),
+            *(f"the plant keeps its own parameters: {reason}" for reason in kept),
         ),
         signs=beyond,
         compared=judge.compared(base),
         objections=() if kept else objections,
     )
+
+
+def _against_bent_parameters(given: Model, model: Model, judge: Judge, objections: Sequence[str]) -> Sequence[str]:
+    """Why parameters stay as they came where nothing is named: others are worse somewhere, or better nowhere."""
+    if not objections and not improved(judge.between(given, model), MATTERS_ALONE):
+        return (f"with others it errs less by {MATTERS_ALONE:.1%} at no horizon {judge.where}, beyond noise",)
+    return objections
 
 
 def _recalibrated(plant: Plant, dataset: Dataset, drift: bool, threads: int) -> Model:

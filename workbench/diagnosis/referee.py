@@ -120,6 +120,10 @@ class Judge:
         self.dataset, self.held_out, self._known = dataset, held_out, []
         self._seconds = 0.0  # how far ahead, the same for all models
 
+    @property
+    def where(self) -> str:
+        return "on held-out records" if self.held_out else "on parts of these records, each left out of the fit in turn"
+
     def of(self, model: Model) -> Held:
         for other, held in self._known:
             if other is model:
@@ -173,9 +177,9 @@ class Judge:
 
     def objections(self, what: str, given: Model, model: Model) -> tuple[str, ...]:
         """A sentence for each channel and horizon where a model is worse than the one that it replaces."""
-        where = "held-out records" if self.held_out else "parts of these records, each left out of the fit in turn"
         return tuple(
-            f"the {what} plant is worse than the one that it replaces, on {where}: {c}" for c in worse(self.between(given, model))
+            f"the {what} plant is worse than the one that it replaces, {self.where}: {c}"
+            for c in worse(self.between(given, model))
         )
 
 
@@ -189,6 +193,11 @@ def as_given(plant: Plant, dataset: Dataset, *, drift: bool = True, threads: int
 def helps(found: Sequence[Change], least: float) -> bool:
     """Whether some error falls by a share of `least`: one step or one second ahead, or over the full run by more than noise."""
     return any(c.share >= least and (c.horizon != FULL_RUN or c.sure) for c in found)
+
+
+def improved(found: Sequence[Change], least: float) -> tuple[Change, ...]:
+    """Errors at any horizon that fall by a share of `least`, by more than noise."""
+    return tuple(c for c in found if c.sure and c.share >= least)
 
 
 def harms(found: Sequence[Change]) -> tuple[Change, ...]:

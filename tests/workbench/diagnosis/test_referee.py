@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.workbench.diagnosis.drive import DRIVE, records
+from tests.workbench.diagnosis.drive import DRIVE, J, records
 from workbench.diagnosis import findings, referee
 from workbench.diagnosis.calibrate import calibrate, gains, trajectories
+from workbench.diagnosis.diagnosis import diagnose
 from workbench.diagnosis.findings import _objection
 from workbench.diagnosis.gains import Held, Score
 from workbench.diagnosis.referee import Change, Judge, changes, harms, helps, worse
@@ -227,3 +228,11 @@ def _moved(plant, factor):
     return replace(
         plant, parameters=tuple(replace(q, value=q.value * (factor if q.name == "J0" else 1.0)) for q in plant.parameters)
     )
+
+
+@pytest.mark.parametrize(("inertia", "bent"), [(1.0, False), (1.15, True)])
+def test_parameters_stay_as_they_came_where_others_help_nowhere(inertia, bent):
+    found = diagnose(DRIVE, records(3, inertia=inertia, samples=1500), records(13, inertia=inertia, count=1, samples=1500))
+    assert not found.causes
+    assert (found.parameters["J0"] != J) is bent
+    assert any("the plant keeps its own parameters" in note for note in found.notes) is not bent
