@@ -295,6 +295,7 @@ def _check(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--rate", type=float, metavar="R", help="prove stability while the schedule moves by up to R a second too")
     sub.add_argument("--runs", type=_positive, help="runs of the plant for each limit (default 400, 40 for an MPC)")
     sub.add_argument("--seed", type=_seed, default=0, help="seed of the searches (default 0)")
+    sub.add_argument("--proof", metavar="FILE", help="write what every proof rests on (JSON), for someone else to check")
 
 
 def _sweep(sub: argparse.ArgumentParser) -> None:

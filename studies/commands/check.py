@@ -45,6 +45,8 @@ def run(options: Namespace) -> int:
     source = provenance({key: getattr(options, key) for key in ASKED}, [*files, *(chosen.files if chosen else ())], options.seed)
     folder = run_folder(options.out, "check")
     found.save(folder, base=chosen.base if chosen else "", own=controller.own, source=source)
+    if options.proof:
+        found.write_proof(options.proof)
     if options.json:
         write_bytes(options.json, (folder / CHECK_FILE).read_bytes())
     for line in (found.tried, *found.boxes):

@@ -8,12 +8,14 @@ import pytest
 from controllers.files import save_controller
 from controllers.pid import pid
 from studies.cli import main
+from tests.checker import checker
 from workbench.data import Dataset
 from workbench.identification.lti import LTI
 from workbench.readers import read_file
 
 pytestmark = pytest.mark.slow
 
+LOOKED_AT = ("peak |S|", "disk margin", "the loop holds")  # refuted by a number, which is in the sentence
 LIMITS = """
 [run]
 duration = 6.0
@@ -51,8 +53,17 @@ def limits(folder, name="limits.toml", step=0.2, low=-0.5, high=0.6, more=""):
 
 
 def run(folder, *more, out="out"):
-    wanted = ["check", "--controller", str(folder / "pid.json"), "--out", str(folder / out), *more]
-    return main(wanted), json.loads((folder / out / "check.json").read_text())
+    """Exit code and check.json; the checker accepts all that is proved or refuted on the model."""
+    proof = folder / out / "proof.json"
+    wanted = ["check", "--controller", str(folder / "pid.json"), "--out", str(folder / out), "--proof", str(proof), *more]
+    code, found = main(wanted), json.loads((folder / out / "check.json").read_text())
+    checked = checker.check(shown := json.loads(proof.read_text())) if found["verdicts"] else []
+    assert [said for _, accepted, said in checked if not accepted] == []
+    decided = [(v["claim"], v["status"]) for v in found["verdicts"]
+               if v["of"].startswith("model") and v["status"] in ("PROVED", "FAILED")]  # fmt: skip
+    told = [(c["claim"], c["status"]) for c in shown["claims"]]
+    assert told == [(claim, status) for claim, status in decided if not claim.startswith(LOOKED_AT)]
+    return code, found
 
 
 def on_model(folder):

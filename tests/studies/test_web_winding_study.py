@@ -10,8 +10,10 @@ import pytest
 
 from plants import WEB_WINDING
 from studies import web_winding
+from studies.cli import main
 from studies.stages import MARK
 from studies.web_winding import HIDDEN, Hidden, chosen, drawn, judged
+from tests.checker import checker
 from tests.workbench.report.browser import CHROMIUM, FLAGS
 from workbench.errors import InputError
 from workbench.readers import read_file
@@ -71,6 +73,19 @@ def test_verdicts_on_the_page_are_those_of_the_checks(chain):
         for v in found["verdicts"]:
             if v["status"] in ("FAILED", "UNDECIDED"):
                 assert v["claim"] in chain[2]
+
+
+@pytest.mark.parametrize("law", ["pid", "mpc"])
+def test_someone_else_accepts_every_proof_of_the_study(chain, law, monkeypatch, tmp_path):
+    """The command of the stage once more, on the model alone, with its proof file."""
+    folder, proof = chain[0], tmp_path / "proof.json"
+    words = json.loads((folder / f"check-{law}" / "stage.json").read_text())["command"].split()[1:]
+    monkeypatch.chdir(folder)
+    main([*words[: words.index("--plant")], "--nodes", "2", "--out", str(tmp_path / "again"), "--proof", str(proof)])
+    found = checker.check(json.loads(proof.read_text()))
+    assert [said for _, accepted, said in found if not accepted] == []
+    verdicts = json.loads((tmp_path / "again" / "check.json").read_text())["verdicts"]
+    assert len(found) == sum(v["status"] in ("PROVED", "FAILED") for v in verdicts) >= 5
 
 
 def test_the_page_holds_every_stage_and_reads_again(chain):

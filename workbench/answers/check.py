@@ -6,6 +6,7 @@ answer.status, answer.verdicts
 answer.save("runs/monday")                                           # check.json, report.html, and what shows each failure
 """
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,7 +19,7 @@ from workbench.answers.answer import Answer, Records, as_dataset
 from workbench.answers.verdict import ended
 from workbench.data import Dataset
 from workbench.errors import InputError
-from workbench.files import nullable, write_json
+from workbench.files import nullable, write_json, write_text
 from workbench.hammerstein import Model, behind, core_of
 from workbench.intervals.errors import ErrorRegression
 from workbench.intervals.model import IntervalModel
@@ -33,6 +34,7 @@ from workbench.report.page import write_report
 from workbench.robustness.falsify.box import fitted_box, fitted_box_of
 from workbench.robustness.limits import LoopLimits, limits_of, load_limits
 from workbench.robustness.linear_law import check_law, without_linear_form
+from workbench.robustness.proof import proof_file
 from workbench.robustness.verdict import Status, Verdict, overall
 from workbench.units import in_units
 from workbench.verification.curved import as_arriving
@@ -43,6 +45,7 @@ from workbench.verification.trial import Trial, along
 from workbench.verification.trial import on_model as tried_on_model
 
 CHECK_FILE = "check.json"
+DECIDED = (Status.PROVED, Status.FAILED)
 
 Limits = LoopLimits | Mapping[str, Any] | str | Path
 Fitted = Mapping[str, Any] | Answer | str | Path
@@ -168,6 +171,11 @@ class CheckResult(Answer):
             "status": self.status.value, "verdicts": [v.to_dict() for v in self.verdicts], "trial": dict(vars(self.trial))
         }  # fmt: skip
         return nullable(content)
+
+    def write_proof(self, path: str | Path) -> Path:
+        """Write what every proof and every refutation on the model rests on, for someone else to check; see docs/proofs.md."""
+        decided = [(v.claim, v.status.value, v.shown) for v in self.verdicts if v.status in DECIDED and v.shown is not None]
+        return write_text(path, json.dumps(nullable(proof_file(self.controller.name, decided)), allow_nan=False))
 
     def to_frame(self) -> Any:
         """The verdicts as a pandas table. Raises ImportError without pandas."""

@@ -34,6 +34,7 @@ import numpy as np
 from workbench.errors import InputError
 from workbench.records import field, record
 from workbench.robustness.envelopes.adversary import worst
+from workbench.robustness.envelopes.certificate import Certificate
 from workbench.robustness.envelopes.constant import constant_kernel
 from workbench.robustness.envelopes.course import Course, explained, replay
 from workbench.robustness.envelopes.dual import dual
@@ -41,6 +42,7 @@ from workbench.robustness.envelopes.kernel import Kernel, at_rest, kernel
 from workbench.robustness.linear_law import Affine
 from workbench.robustness.loop import PLANNED
 from workbench.robustness.margins import Falsified, Margin
+from workbench.robustness.proof import Shown, falls, grows, leaves, limits, stays
 
 DUALS = 8  # samples of one signal and side at which a tighter bound is sought
 INSTANTS = 4  # samples of one signal and side at which the adversary is asked
@@ -62,7 +64,7 @@ class Verdict:
     """claim: what is said of the loop; margin [unit]: signed, NaN where there is none; sentence: what it rests on.
 
     of: what the claim is about, the identified model or the simulated plant. witness: the file that shows it, "" for none.
-    every: what is proved that every run stays between, where that is known.
+    every: what is proved that every run stays between, where that is known. shown: what someone else checks it by, see `proof`.
     """
 
     claim: str
@@ -73,6 +75,7 @@ class Verdict:
     sentence: str
     witness: str = ""
     every: tuple[float, float] | None = None
+    shown: Shown | None = None
 
     def __str__(self) -> str:
         amount = "" if math.isnan(self.margin) else f" ({self.margin:+.3g}{self.unit and ' ' + self.unit})"
@@ -81,7 +84,8 @@ class Verdict:
     def to_dict(self) -> dict[str, object]:
         """Plain values; a margin that is no number is null."""
         margin = self.margin if math.isfinite(self.margin) else None
-        return {**vars(self), "status": self.status.value, "margin": margin}
+        said = {name: value for name, value in vars(self).items() if name != "shown"}
+        return {**said, "status": self.status.value, "margin": margin}
 
     def shown_by(self, witness: str) -> "Verdict":
         return replace(self, witness=witness)
@@ -115,13 +119,15 @@ def stability(
             claim, of, Status.PROVED, low - needed, "boxes",
             f"off the stops a quadratic function of the state falls at every sample, whatever the parameters do, "
             f"up to boxes {low:.3g} times as wide; from {high:.3g} on a sequence is known that the loop does not survive",
+            shown=falls(found.loop, found.certified, needed),
         )  # fmt: skip
     if lost is not None and lost.replay(found.loop) >= 1.0:
+        shown = grows(found.loop, lost, needed)
         if lost is found.falsified:
             said = f"in boxes {lost.kappa:.3g} times as wide {len(lost.delta)} sets of parameters in turn let a state grow"
-            return Verdict(claim, of, Status.FAILED, lost.kappa - needed, "boxes", said)
+            return Verdict(claim, of, Status.FAILED, lost.kappa - needed, "boxes", said, shown=shown)
         said = f"constant parameters that no record refutes let a state grow, by {lost.growth:.4g} at every sample"
-        return Verdict(claim, of, Status.FAILED, 1.0 - lost.growth, "", said)
+        return Verdict(claim, of, Status.FAILED, 1.0 - lost.growth, "", said, shown=shown)
     said = f"proved up to boxes {low:.3g} times as wide, moving parameters refute it from {high:.3g} times on"
     said += "" if possible is None else f"; none of {len(possible)} constant ones that may be the machine's does"
     return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
@@ -151,6 +157,10 @@ class Bound:
     unit: str
     low: np.ndarray = field("N", low=-np.inf)
     high: np.ndarray = field("N", high=np.inf)
+
+    @property
+    def limits(self) -> Shown:
+        return limits(self.signal, self.low, self.high)
 
 
 @record
@@ -307,13 +317,13 @@ def _excess(v: np.ndarray, bound: Bound, signal: int, linear: np.ndarray) -> np.
     return np.where(np.arange(v.shape[1]) >= linear[:, None], -np.inf, np.nan_to_num(excess, nan=-np.inf, neginf=-np.inf))
 
 
-def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:
-    """The first sample at which the bound is not proved; all of them where it is.
+def _proved_until(course: Course, outer: Kernel, bound: Bound) -> tuple[int, list[Certificate]]:
+    """The first sample at which the bound is not proved, all of them where it is; and what proves it beside the kernel.
 
     Where the kernel does not suffice the dual is asked, from the sample on that misses most: if that one fails the others need
     not be tried.
     """
-    i, until = course.number(bound.signal), len(course)
+    i, until, proofs = course.number(bound.signal), len(course), []
     for side, limit in _sides(bound):
         over = (outer.high[:, i] if side == 1 else -outer.low[:, i]) - limit
         open_at = np.flatnonzero(over > 0.0)
@@ -324,10 +334,11 @@ def _proved_until(course: Course, outer: Kernel, bound: Bound) -> int:
                 proof = dual(course, worst(course, [(bound.signal, int(k), side)]), 0, outer)
                 if proof is None or not proof.bound <= limit[k]:
                     break
+                proofs.append(proof)
             else:
                 continue
         until = min(until, int(open_at[0]))
-    return until
+    return until, proofs
 
 
 class _Linear(NamedTuple):
@@ -335,6 +346,12 @@ class _Linear(NamedTuple):
 
     stops: tuple[Bound, ...]
     region: Region
+
+    @property
+    def limits(self) -> Shown:
+        """What must hold at every sample and at the rest before the run."""
+        own = zip(self.region.signals, self.region.low, self.region.high, strict=True)
+        return {"linear": [*(stop.limits for stop in self.stops), *(limits(*each) for each in own)]}
 
     def ends(self, course: Course, low: np.ndarray, high: np.ndarray) -> bool:
         """Whether signals between these values (s) at the rest before the run may be beyond what the law is linear in."""
@@ -366,12 +383,13 @@ def _first(at: np.ndarray) -> int:
 @record
 class _Proved:
     """What the verdicts of one course share: the kernel around all runs, if `constant` around those whose parameters stand still,
-    and the samples before any command may be at its stop.
+    and the samples before any command may be at its stop, by the kernel and `duals`.
     """
 
     course: Course
     outer: Kernel
     free: int
+    duals: tuple[Certificate, ...]
     linear: _Linear
     of: str
     dt: float
@@ -386,16 +404,18 @@ def _proved(
     free, before = _first(np.asarray(~np.all(within, axis=1))), course.before
     if before is not None and outer.start is not None and linear.ends(course, *at_rest(course, before, outer.start)):
         free = 0
+    duals: list[Certificate] = []
     for stop in linear.stops:
         progress(stop.claim)
-        free = min(free, _proved_until(course, outer, stop))
-    return _Proved(course, outer, free, linear, of, dt, constant)
+        until, own = _proved_until(course, outer, stop)
+        free, duals = min(free, until), duals + own
+    return _Proved(course, outer, free, tuple(duals), linear, of, dt, constant)
 
 
 def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kept:
     """The verdict on a bound, of runs that were tried and of the furthest ones."""
     course, outer, free, dt = proved.course, proved.outer, proved.free, proved.dt
-    until = _proved_until(course, outer, bound)
+    until, duals = _proved_until(course, outer, bound)
     i, unit = course.number(bound.signal), bound.unit
     excess = _excess(tried.v, bound, i, proved.linear.until(course, tried))
     row, k = (int(number) for number in np.unravel_index(int(excess.argmax()), excess.shape))
@@ -408,8 +428,8 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kep
         below, above = np.maximum(below, bound.low), np.minimum(above, bound.high)
     every = (float(below[asked].min()), float(above[asked].max())) if free == len(course) else None
 
-    def kept(status: Status, margin: float, said: str) -> Kept:
-        found = Verdict(bound.claim, proved.of, status, margin, unit, said, every=every)
+    def kept(status: Status, margin: float, said: str, shown: Shown | None = None) -> Kept:
+        found = Verdict(bound.claim, proved.of, status, margin, unit, said, every=every, shown=shown)
         return Kept(bound, found, tried.row(row), k, outer, proved.constant)
 
     moving, noisy = tried is furthest, _noisy(course)
@@ -417,7 +437,10 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kep
     if reached > SLACK * float(max(np.abs(outer.nominal.v[:, i]).max(), np.abs(limits).max())):
         who = "parameters that move within their boxes" if moving else "constant parameters that no record refutes"
         who += " and noise in the worst order" * noisy
-        return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s")
+        run = tried.row(row)
+        linear = proved.linear.limits
+        shown = leaves(course, bound.limits, linear, not moving, k, run.delta[0], run.before[0], run.share[0])
+        return kept(Status.FAILED, -reached, f"{who} bring it to {tried.v[row, k, i]:.4g} {unit} after {k * dt:.4g} s", shown)
     if until == len(course) and free == len(course):
         begun = "from the rest of any machine of the boxes" if course.before else "from its start"
         begun += ", and whatever the noise does" if noisy else ", without noise"
@@ -426,7 +449,8 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kep
         )
         if proved.constant:
             said = f"whatever constant parameters of the boxes at {len(course)} samples, {begun}; {_tried(reached, beyond, unit)}"
-        return kept(Status.PROVED, max(left, 0.0), said)
+        shown = stays(course, bound.limits, proved.linear.limits, proved.constant, (*proved.duals, *duals))
+        return kept(Status.PROVED, max(left, 0.0), said, shown)
     if outer.start is None:
         said = "no set is known that holds the rests of all machines of the boxes: a run may begin anywhere"
         return kept(Status.UNDECIDED, math.nan, said)

@@ -32,6 +32,8 @@ from workbench.robustness.linear_law import LinearLaw, affine_of, check_law, wit
 from workbench.robustness.loop import RATE_OF, driven, interpolated
 from workbench.robustness.machine import machine_with_errors
 from workbench.robustness.margins import Falsified, Margin, margin
+from workbench.robustness.proof import clipped, falls_in_motion, grows
+from workbench.robustness.proof import limits as bounded
 from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.sequences import Broken, Growth, Passage, Witness, sequence_of
 from workbench.robustness.uncertain import UncertainLoop
@@ -149,6 +151,7 @@ def _stability(
             own = margin(loop)
         except InputError as reason:
             verdict, lost = _without_margin(loop, constant, moving, claim, of, reason)
+            verdict = verdict if lost is None else replace(verdict, shown=grows(loop, lost, needed))
         else:
             margins.append((rho, own))
             verdict = stability(own, needed, claim, of, possible=constant, moving=moving)
@@ -213,7 +216,8 @@ def _in_motion(
     delays = max(term.delay for term in model.terms)
     if _straight(model.basis) and _straight(of_law) and not delays:
         if low >= needed and found.certified.holds(found.loop):
-            return Verdict(claim, of, Status.PROVED, low - needed, "boxes", said)
+            shown = falls_in_motion(found.loop, found.certified, needed)
+            return Verdict(claim, of, Status.PROVED, low - needed, "boxes", said, shown=shown)
         return Verdict(claim, of, Status.UNDECIDED, low - needed, "boxes", said)
     said += f"; but of the machine that is linear between {len(rho)} values, {100 * off:.2g} % off halfway between two"
     said += f", and without the delays of the model's schedule of up to {delays} samples" * (delays > 0)
@@ -321,11 +325,12 @@ def _prepared(left: Open, law: LinearLaw, limits: LoopLimits, plant: Plant | Non
 def _bounds(found: _Found, left: Open, law: LinearLaw, limits: LoopLimits, run: _Run, of: str, progress: Progress) -> None:
     assert limits.run is not None
     of = f"{of}{run.along}"
-    clipped = [bound for bound in run.bounds if _by_the_law(law, bound)]
+    within = [bound for bound in run.bounds if _by_the_law(law, bound)]
     wanted = [bound for bound in run.bounds if not _by_the_law(law, bound)]
-    if clipped:
-        said = "the law itself never commands beyond it"
-        found.verdicts.append(Verdict(", ".join(bound.claim for bound in clipped), of, Status.PROVED, 0.0, "", said))
+    if within:
+        said, claim = "the law itself never commands beyond it", ", ".join(bound.claim for bound in within)
+        shown = clipped([bound.limits for bound in within], [bounded(b.signal, *_ends(law, b.signal)) for b in within])
+        found.verdicts.append(Verdict(claim, of, Status.PROVED, 0.0, "", said, shown=shown))
     form, model = affine_of(law, run.rho[0] if law.schedule else None), left.model
     region = Region.of(form)
     stops = _stops(law, model, len(run.references)) if not len(form.w) else []  # a law that plans has them in its plan
@@ -409,12 +414,16 @@ def _asked(limit: Limit, law: Any, references: np.ndarray, unit: str) -> list[Bo
 
 def _by_the_law(law: LinearLaw, bound: Bound) -> bool:
     """Whether a bound on a command is no tighter than the law's own limit."""
-    name = bound.signal.removeprefix(RATE_OF)
-    if name not in law.actuated:
+    if bound.signal.removeprefix(RATE_OF) not in law.actuated:
         return False
-    i = law.actuated.index(name)
-    low, high = (-law.rate[i], law.rate[i]) if bound.signal.startswith(RATE_OF) else (law.low[i], law.high[i])
+    low, high = _ends(law, bound.signal)
     return bool(np.all(bound.low <= low) and np.all(high <= bound.high))
+
+
+def _ends(law: LinearLaw, signal: str) -> tuple[float, float]:
+    """Between which values a law keeps a command or its rate."""
+    i = law.actuated.index(signal.removeprefix(RATE_OF))
+    return (-law.rate[i], law.rate[i]) if signal.startswith(RATE_OF) else (law.low[i], law.high[i])
 
 
 def _stops(law: LinearLaw, model: LPVModel, N: int) -> list[Bound]:

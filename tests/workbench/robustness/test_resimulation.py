@@ -14,10 +14,12 @@ from scipy.linalg import expm
 
 from controllers.pid import pid
 from controllers.scheduled_pid import ScheduledPID
+from tests.checker.checker import check
 from tests.workbench.robustness.loops import model as arx_model
 from workbench.basis import Powers
 from workbench.data import Channel
 from workbench.errors import InputError
+from workbench.files import as_read, nullable
 from workbench.intervals.domains.shapes import Box
 from workbench.intervals.errors import ERROR_OF
 from workbench.intervals.model import IntervalModel, Mode, Unrefuted
@@ -29,6 +31,7 @@ from workbench.robustness.envelopes.course import Course
 from workbench.robustness.envelopes.kernel import kernel
 from workbench.robustness.loop import course, course_of, driven, with_rates
 from workbench.robustness.machine import machine_of
+from workbench.robustness.proof import proof_file
 from workbench.robustness.verdict import Bound, Status, bounds_kept
 
 pytestmark = pytest.mark.slow
@@ -443,10 +446,18 @@ def attacked(seed) -> dict[str, int]:
         # what is proved of parameters that move holds for constant ones, and what these refute those refute too
         assert statuses[-1] is not Status.PROVED or statuses[0] is Status.PROVED, told
         assert statuses[0] is not Status.FAILED or statuses[-1] is Status.FAILED, told
+        decided = [("", one.verdict.status.value, one.verdict.shown) for one in found if one.verdict.shown is not None]
+        assert len(decided) == sum(status in (Status.PROVED, Status.FAILED) for status in statuses), told
+        for _, accepted, said in checked(decided):
+            assert accepted, f"{told}: {said}"
         for one in found:
             if one.verdict.status is Status.PROVED:
                 attacks = still if one.constant else v
-                assert float((side * attacks[:, :, i]).max()) <= limit + ROUNDED * size, told
+                reached_by = float((side * attacks[:, :, i]).max())
+                assert reached_by <= limit + ROUNDED * size, told
+                # nor does the checker take for proved what the attack has broken
+                tight = asked(signal, side, reached_by - 1e-5 * size).limits
+                assert not checked([("", "PROVED", {**one.verdict.shown, "bound": tight})])[0][1], told
                 for stop in stops:
                     u = attacks[:, :, loop.signals.index(stop.signal)]
                     assert np.all((stop.low - ROUNDED <= u) & (u <= stop.high + ROUNDED)), told
@@ -459,6 +470,11 @@ def attacked(seed) -> dict[str, int]:
             count["true"] += 1
             count["true and decided"] += statuses[-1] is not Status.UNDECIDED
     return count
+
+
+def checked(decided) -> list:
+    """What the checker says of (claim, status, what shows it)."""
+    return check(as_read(nullable(proof_file("", decided))))
 
 
 def replayed(loop, found, signal, side, limit, told) -> None:
