@@ -21,16 +21,16 @@ from workbench.diagnosis.equations import Law, instead, one_instead
 from workbench.diagnosis.experiments import Template, deciding
 from workbench.diagnosis.findings import Found, strongest_of
 from workbench.diagnosis.lags import Other
-from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, LAWS, LEFT_OVER, ONE_STEP, TIE, WIDE
+from workbench.diagnosis.policy import ALONE, ALPHA, BESIDE, DIGITS, HARM, IDEAL, LAWS, LEFT_OVER, ONE_STEP, TIE, WIDE
 from workbench.diagnosis.referee import Judge, harms
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.remainder import Left, trajectory
-from workbench.diagnosis.rivals import reach
+from workbench.diagnosis.rivals import reach, returns
 from workbench.diagnosis.rounding import Rounded, limit
 from workbench.diagnosis.scan import ONCE
 from workbench.diagnosis.screen import Signature, shape_units
 from workbench.diagnosis.search import Step, effect_and_place, measurable
-from workbench.diagnosis.sizes import sizes_of
+from workbench.diagnosis.sizes import beyond_tolerance, sizes_of
 from workbench.physics.effects.effect import Domain, GridUnit
 from workbench.physics.effects.tank import Tank
 from workbench.physics.parameters import Slot
@@ -251,6 +251,16 @@ def exchanges(steps: Sequence[Step]) -> list[str]:
         "of the machine: its time and the machine's can change places, and only a parameter that is known better decides"
         for s in steps
         if s.others
+    ]
+
+
+def instead_of_parameters(steps: Sequence[Step]) -> list[str]:
+    """A sentence for each cause that takes the place of parameters far from their data sheet, which explain the same."""
+    return [
+        f"{s.key} takes the place of a parameter, the records alone do not tell the two apart: without it "
+        + " and ".join(beyond_tolerance(s.before, s.before))
+        for s in steps
+        if returns(s.before, s.after) and s.gain - (s.before.beyond - s.after.beyond) < max(TIE, IDEAL * s.gain)
     ]
 
 

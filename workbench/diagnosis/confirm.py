@@ -17,7 +17,7 @@ from workbench.diagnosis.refit import Model
 from workbench.records import field, record
 
 BLOCKS = 8  # at least, for a standard error
-SURE = 40.0  # twice the log-likelihood
+SURE, HAIR = 40.0, 6.0  # twice the log-likelihood: a gain that no chance gives, and a loss that says nothing
 ORDER = 3.0  # standard deviations of a size before anything is seen, over the size that was found
 NONE = 1e-100  # a size at its bound of 0 stays there
 PIECES = 4  # one record is cut into so many
@@ -82,6 +82,11 @@ class LeftOut:
         neither gains nor loses.
         """
         return (self.total > 2.0 * self.error or self.total > SURE) and bool(np.mean(self.by_fold > -1.0) > 0.5)
+
+    @property
+    def loses(self) -> bool:
+        """Whether what was left out is predicted worse, by more than two standard errors and more than a HAIR."""
+        return self.total < -max(2.0 * self.error, HAIR)
 
 
 def left_out(base: Model, extended: Model) -> LeftOut:

@@ -13,6 +13,7 @@ from workbench.diagnosis.policy import ALPHA, LAWS, LEFT_OVER, LONG_RUN, MATTERS
 from workbench.diagnosis.referee import Judge, harms, helps, worse
 from workbench.diagnosis.refit import FEW_SENSORS, Model
 from workbench.diagnosis.remainder import Left, label, remainder
+from workbench.diagnosis.rivals import returns
 from workbench.diagnosis.screen import Signature
 from workbench.diagnosis.search import PLAY, Lesser, Local, Search, Step, Unresolved, facing, kept
 from workbench.diagnosis.sizes import sizes_of
@@ -180,7 +181,8 @@ def _objection(step: Step, first: bool, strongest: float, judge: Judge, longer: 
         return NONE
     ahead_of = any(c.sure and c.share > 0.0 for c in found if c.ahead)
     surprised = not ahead_of if longer else judge.held_out and judge.surprise(step.before, step.after) >= 0.0
-    if surprised and not _helps_free_runs(step, judge):
+    returned = returns(step.before, step.after) and not harms(found)
+    if surprised and not returned and not _helps_free_runs(step, judge):
         return "would explain these records, but predicts the held-out ones no better: something else is behind it"
     if first:
         return ""

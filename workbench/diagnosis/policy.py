@@ -30,5 +30,6 @@ MATTERS, MATTERS_ALONE = 0.01, 0.005  # share of an error that a further cause m
 HARM = 0.1  # share of an error by which a cause may raise it and be sure
 LONG_RUN = 0.2  # share of the error a second ahead that a search without coloured torques must take off to count
 HELPFUL = 0.1  # the same for each of its causes
+RETURNED, INSIDE = 50.0, 1.0  # deviance of parameters beyond their tolerance that an effect takes off, and what it may leave
 LEAST = 0.01  # of nominal, below which a parameter is told whatever its tolerance
 DIGITS = 1e-6  # relative, to which the values of a record tell a step

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from workbench.diagnosis.confirm import by_block, left_out
-from workbench.diagnosis.policy import ASKED_FOR, FAR_APART, IDEAL, KNOWN, SCATTER, TIE, UNSEEN
+from workbench.diagnosis.policy import ASKED_FOR, FAR_APART, IDEAL, INSIDE, KNOWN, RETURNED, SCATTER, TIE, UNSEEN
 from workbench.diagnosis.refit import Model
 from workbench.diagnosis.screen import Score
 from workbench.physics.effects.effect import Domain
@@ -43,9 +43,18 @@ def rivals_of(before: Model, named: Model, key: str, tried: Sequence[tuple[Model
         if s.key == key or _only_more(named, key, m, s.key):
             continue
         elsewhere = left_out(before, m)
-        if elsewhere.holds or (m.bic - named.bic > -TIE and elsewhere.total > -2.0 * elsewhere.error):
+        near = returns(before, m) and not elsewhere.loses
+        if elsewhere.holds or (m.bic - named.bic > -TIE and (near or elsewhere.total > -2.0 * elsewhere.error)):
             found.append((m, s))
     return sorted(found, key=lambda pair: pair[0].bic)
+
+
+def returns(before: Model, after: Model) -> bool:
+    """Whether an effect takes the place of a parameter that had left its tolerance by far.
+
+    Where both explain the same, an offset and a temperature of the room, no record tells them apart: the data sheet does.
+    """
+    return before.beyond - after.beyond > RETURNED and after.beyond < INSIDE
 
 
 def close_rivals(before: Model, named: Model, key: str, tying: Sequence[tuple[Model, Score]]) -> tuple[Rival, ...]:

@@ -42,7 +42,7 @@ from workbench.diagnosis.refit import (
     stepped,
     without,
 )
-from workbench.diagnosis.rivals import Rival, best_first, close_rivals, gap_between, is_case_of, rivals_of
+from workbench.diagnosis.rivals import Rival, best_first, close_rivals, gap_between, is_case_of, returns, rivals_of
 from workbench.diagnosis.rounding import rounded
 from workbench.diagnosis.screen import Score, Signature, scores, signatures, similarity, small_sizes, variants
 from workbench.physics.effects.effect import Domain
@@ -204,7 +204,10 @@ def _step(
 
     def holds(m: Model, s: Score) -> bool:
         # what shows by no score of its own is a cause only where nothing explains more
-        return (s.p_family < ALPHA or m is finals[0][0]) and not _is_rounding(m, s.key) and left_out(model, m).holds
+        if (s.p_family >= ALPHA and m is not finals[0][0]) or _is_rounding(m, s.key):
+            return False
+        gain = left_out(model, m)
+        return gain.holds or (returns(model, m) and not gain.loses)
 
     while not any(holds(m, s) for m, s in worthy) and (pair := next(behind, None)):
         # what came first holds in some records only: another cause may hold in all

@@ -40,9 +40,7 @@ def falls_in_motion(loop: ScheduledLoop, found: ScheduledCertificate, needed: fl
     return {"kind": "falls in motion", "needed": needed, "loop": _plain(loop), **own}
 
 
-def stays(
-    course: Course, bound: Shown, linear: Shown, constant: bool, duals: Sequence[Certificate]
-) -> Shown:
+def stays(course: Course, bound: Shown, linear: Shown, constant: bool, duals: Sequence[Certificate]) -> Shown:
     """Every run stays within a bound, or every one with `constant` parameters; until its end the law is linear."""
     proved = {"constant": constant, "duals": [_plain(dual) for dual in duals]}
     return {"kind": "stays", "course": course, "bound": bound, **linear, **proved}
