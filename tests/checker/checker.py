@@ -78,7 +78,7 @@ class Ball:
     def __matmul__(self, other):
         other = ball(other)
         a, b, k = np.abs(self.mid), np.abs(other.mid), self.mid.shape[-1]
-        rad = 2.0 * (k + 2) * U * (a @ b) + a @ other.rad + self.rad @ (b + other.rad)
+        rad = (k + 2) * U * (a @ b) + a @ other.rad + self.rad @ (b + other.rad)
         return Ball(self.mid @ other.mid, rad * UP + TINY)
 
     def __rmatmul__(self, other):
@@ -296,7 +296,7 @@ def all_runs(c, still):
         A, B, C, E, F, signs = c.A[i], c.B[i], ball(c.C[i]), c.E[i], c.F[i], ball(c.rows * c.lam[i])
         z, v, W = C @ x + c.f[k], E @ ball(x) + c.g[k], driven(i, C @ x + c.f[k], C @ D)
         size, look = (np.abs(Z) @ weight + lost) * UP, joined([signs @ C, E], 0)
-        felt = ((np.abs(look.mid @ Z) @ weight) + look.top @ lost + (look.rad + 4.0 * (n + 2) * U * look.top) @ size) * UP
+        felt = ((np.abs(look.mid @ Z) @ weight) + look.top @ lost + (look.rad + (n + 2) * U * look.top) @ size) * UP
         drive = felt[: len(c.rows)] + (signs @ C @ D[:, last]).top.sum(axis=1) + (signs * moves @ z).top
         w = largest(c, drive * UP)
         half = felt[len(c.rows) :] + np.abs(F) @ w + (E @ ball(D) + F @ W).top.sum(axis=1) + v.rad
@@ -307,7 +307,7 @@ def all_runs(c, still):
         low[k], high[k] = v.mid - half * UP - 2.0 * U * np.abs(v.mid), v.mid + half * UP + 2.0 * U * np.abs(v.mid)
         after, onwards = A @ x + c.q[k], A @ D + B @ W.mid
         missed = (A @ ball(x) + c.q[k] - after).top + (A @ ball(D) + B @ W - onwards).top.sum(axis=1)
-        lost = (np.abs(A) @ (lost + 4.0 * (n + 2) * U * size) + missed) * UP + TINY
+        lost = (np.abs(A) @ (lost + (n + 2) * U * size) + missed) * UP + TINY
         x, D, Z, weight = after, onwards, np.hstack([A @ Z, B]), np.append(weight, w)
         if k % FRESH == FRESH - 1:  # what rounding has taken goes on as columns, and takes what has faded with it
             faded = (np.abs(Z) * weight <= FADED * lost[:, None]).all(axis=0)
