@@ -29,7 +29,7 @@ from workbench.robustness.schedules import scheduled_margin
 from workbench.robustness.verdict import bounds_kept
 
 SOURCE = Path(checker.__file__)
-MOST_LINES = 400
+MOST_LINES = 440  # of code; what refutes is computed exactly, which takes some forty of them
 MOVING, STILL = (112, 2, 16, 19), (4, 6, 21, 33)  # seeds of drawn runs: the first with proofs at single samples
 
 
@@ -248,6 +248,66 @@ def test_no_spoilt_file_is_accepted():
             count += 1
             assert not accepted(deepcopy(spoiled)), (claim[1]["kind"], [k for k in spoiled if spoiled[k] != file.get(k)])
     assert count >= 200
+
+
+def crafted(kind, courses=(), **entry):
+    status = {"grows": "FAILED", "leaves": "FAILED"}.get(kind, "PROVED")
+    claims = [{"kind": kind, "status": status, "claim": "crafted", **entry}]
+    return as_read({"format": checker.FORMAT, "version": 1, "claims": claims, "courses": list(courses)})
+
+
+def small_course(N=3, **other):
+    """x+ = A x + q, two signals, one parameter that does nothing."""
+    own = {
+        "A": [[[1.0]]], "B": [[[0.0]]], "C": [[[0.0]]], "E": [[[1.0], [0.0]]], "F": [[[0.0], [0.0]]], "lam": [[0.0]],
+        "channel": [0],
+        "mode": [0] * N, "q": [[0.0]] * N, "g": [[0.0, 0.0]] * N, "f": [[0.0]] * N, "start": [0.0], "signals": ["v", "w"],
+        "before": None,
+    }  # fmt: skip
+    return {**own, **other}
+
+
+def not_normal(n=30):
+    """A matrix of small whole numbers over 2 whose poles are all 0.5, and that floats take for 2.9."""
+    random = np.random.default_rng(0)
+    T = 0.5 * np.eye(n) + 8.0 * np.eye(n, k=1)
+    for _ in range(60):
+        i, j = random.choice(n, 2, replace=False)
+        sign = random.choice([-1, 1])
+        T[:, j] += sign * T[:, i]
+        T[i] -= sign * T[j]
+    return T
+
+
+def test_rounding_and_underflow_show_nothing():
+    """Cases that an attack has found: each was accepted, and none is true."""
+    A = not_normal()
+    assert np.abs(np.linalg.eigvals(A)).max() > 1.0
+    still = {"B": [[0.0]] * len(A), "C": [[0.0] * len(A)], "lam": [0.0], "channel": [0]}
+    assert not accepted(crafted("grows", loop={"A": A, **still}, needed=1.0, kappa=1.0, delta=[[0.0]]))
+    gone = {"A": [[0.5]], "B": [[1e-170]], "C": [[1e170]], "lam": [1e-170], "channel": [0]}  # 0.5 + 1 where kappa is 1e170
+    assert not accepted(crafted("falls", loop=gone, needed=1e170, kappa=1e170, P=[[1.0]], D=[0.0], steps=1))
+    run = {"course": 0, "constant": False, "sample": 2, "delta": [[0.0]] * 3, "before": [0.0], "share": []}
+    up = small_course(q=[[0.0], [5.0], [0.0]], g=[[0.0, 0.0], [0.0, 100.0], [0.0, 0.0]])
+    bound = {"signal": "v", "low": None, "high": 1.0}
+    assert accepted(crafted("leaves", [up], bound=bound, linear=[{"signal": "w", "low": None, "high": 200.0}], **run))
+    for high in ([None, 1.0, 1.0], 1.0):  # w is 100 before
+        assert not accepted(crafted("leaves", [up], bound=bound, linear=[{"signal": "w", "low": None, "high": high}], **run))
+    lost = small_course(E=[[[1.0], [0.0]]], g=[[1.0, 0.0]] * 3, start=[1e16])  # 1e16 + 1 is 1e16 in floats
+    above = {"signal": "v", "low": 1e16 + 2.0, "high": None}
+    assert accepted(crafted("leaves", [lost], bound=above, linear=[], **run))
+    assert not accepted(crafted("leaves", [lost], bound={**above, "low": None, "high": 1e16 + 2.0}, linear=[], **run))
+
+
+def test_columns_that_underflow_count_where_their_weight_is_large():
+    A, none = [[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [1e-163, 0.0]]], [[0.0, 0.0]]
+    course = small_course(
+        A=A, B=[[[1e-162], [0.0]], [[0.0], [0.0]]], C=[none] * 2, E=[[[0.0, 1e226]]] * 2, F=[[[0.0]]] * 2, lam=[[1.0]] * 2,
+        mode=[0, 1, 1], q=none * 3, g=[[0.0]] * 3, f=[[1e99], [0.0], [0.0]], start=[0.0, 0.0], signals=["v"],
+    )  # fmt: skip
+    stays = {"course": 0, "linear": [], "constant": False, "duals": []}
+    bound = {"signal": "v", "low": -1e-3, "high": 1e-3}  # v(2) is 1
+    assert not accepted(crafted("stays", [course], bound=bound, **stays))
 
 
 @pytest.mark.parametrize("file", [None, [], 3, {}, {"format": checker.FORMAT, "version": 1, "claims": [{}], "courses": []}])
