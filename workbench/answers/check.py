@@ -249,7 +249,9 @@ def _tried(law: Any, limits: LoopLimits, model: Model | None, plant: Plant | Non
     """One run on the most truthful simulation at hand: of the plant, through what is asked; without one of the model."""
     if plant is None:
         assert model is not None
-        return tried_on_model(law, model)
+        first = {name: steps[0][1] for name, steps in limits.run.setpoints.items()} if limits.run else {}
+        names = [c.name for c in core_of(model).outputs]
+        return tried_on_model(law, model, [first[name] for name in names] if all(name in first for name in names) else None)
     check_asked(limits)
     assert limits.run is not None
     own = limits.run.scenario(plant, law)

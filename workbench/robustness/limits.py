@@ -82,6 +82,18 @@ class Limit:
         return tuple(name for name, given in zip(BOUNDS, there, strict=True) if given)
 
     @property
+    def apart(self) -> "tuple[Limit, ...]":
+        """The same as limits of which each asks one thing: between low and high, the rate, the band. Their shares are no measure
+        of each other: what is left to a band is not what is left to a bound far off.
+        """
+        none = {"low": -np.inf, "high": np.inf, "rate": np.inf, "band": np.inf, "settling": 0.0}
+        found = []
+        for asked in ({"low", "high"}, {"rate"}, {"band", "settling"}):
+            if asked & {*self.kept}:
+                found.append(replace(self, **{name: value for name, value in none.items() if name not in asked}))
+        return tuple(found)
+
+    @property
     def scales(self) -> np.ndarray:
         """What each of `BOUNDS` allows (4), in its own unit; 1 where that is 0, or there is no such bound."""
         width = self.high - self.low

@@ -458,7 +458,7 @@ def _judged(proved: _Proved, bound: Bound, tried: Tried, furthest: Tried) -> Kep
         f"proved for the first {until * dt:.4g} s of {len(course) * dt:.4g} s" if until < len(course) else "proved while linear"
     )
     if free < len(course):
-        said += f", but after {free * dt:.4g} s a command may be at its stop"
+        said += f", but {f'after {free * dt:.4g} s' if free else 'already at the rest before it'} a command may be at its stop"
     elif every is not None:
         said += f"; every run stays within {every[0]:.4g} to {every[1]:.4g} {unit}"
     said += f"; {_tried(reached, beyond, unit)}" if not moving else f"; moving parameters {_beside(beyond, unit)}"

@@ -43,7 +43,8 @@ def on_plant(
     compiled = isinstance(law, Controller)
     count = runs or (RUNS if compiled else STEPPED)
     verdicts, worst, witnesses = [], [], {}
-    for number, limit in enumerate(resolved(limits.limits, plant, law), 1):
+    asked = [one for limit in resolved(limits.limits, plant, law) for one in limit.apart]
+    for number, limit in enumerate(asked, 1):
         name = f"{limit.signal}: {' and '.join(limit.kept)}"
         progress(f"worst machine for {name}")
         found = worst_plant(Search(plant, law, scenario, [limit], tuple(box.values()), runs=count, seed=seed, progress=progress))

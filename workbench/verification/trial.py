@@ -71,7 +71,7 @@ def on_model(
     follows, (low, high) = followed(model), ends(model.spans)
     first = low + EDGE * (high - low) if follows is not None else low
     phi = model.operating_point.basis(np.array(first))
-    rest = np.array(phi @ model.operating_point.y if setpoint is None else setpoint, dtype=float)
+    rest = np.array(_held(straight, model, phi) if setpoint is None else setpoint, dtype=float)
     step = _steps(straight, model, rest, steps)
     if follows is not None:
         rest[follows], step[follows] = first, (1.0 - 2.0 * EDGE) * (high - low)
@@ -207,6 +207,22 @@ def _steps(law: Any, model: LPVModel, rest: np.ndarray, given: Mapping[str, floa
     free = np.linalg.norm(moved, axis=1)
     usual = np.where(np.isfinite(reach) & (reach > 0.0), SHARE * reach if model.free else np.minimum(SHARE * reach, free), free)
     return np.array([given.get(c.name, own) for c, own in zip(model.outputs, usual, strict=True)])
+
+
+def _held(law: Any, model: LPVModel, phi: np.ndarray) -> np.ndarray:
+    """Outputs (ny) at the model's operating point; where that asks for commands beyond their limits, at one that these hold.
+
+    A model of a pump may count from a standstill that no record and no law comes near.
+    """
+    y, u = phi @ model.operating_point.y, phi @ model.operating_point.u
+    acts, none = [[c.name for c in model.inputs].index(name) for name in law.actuated], np.full(len(law.actuated), np.inf)
+    low, high = getattr(law, "low", -none), getattr(law, "high", none)
+    if model.free or np.all((u[acts] >= low) & (u[acts] <= high)):
+        return y
+    both = np.isfinite(low) & np.isfinite(high)
+    held = np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.clip(u[acts], low, high))
+    A, B, C, D = model.freeze(model.middle if model.schedules else None)
+    return y + gain(A, B, C, D)[:, acts] @ (held - u[acts])
 
 
 def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -75,6 +75,19 @@ def test_of_several_bounds_the_one_that_is_broken_by_the_larger_share_counts():
     assert Limit("y", low=3.0, high=3.0).scales.tolist() == [3.0, 3.0, 1.0, 1.0]
 
 
+def test_limits_apart_ask_together_what_the_limit_asks():
+    """A band of 0.2 about a set-point is no share of a bound of 2.5: each is asked by itself."""
+    whole = Limit("p", low=2.5, rate=3.0, band=0.2, settling=1.0, begin=0.5, unit="bar")
+    each = whole.apart
+    assert [one.kept for one in each] == [("low",), ("rate",), ("settling",)]
+    t, r = np.arange(0.0, 4.0, 0.1), np.where(np.arange(40) < 5, 3.0, 3.2)
+    y = np.array([r + 0.15 * np.sin(3.0 * t), r - 0.6])
+    for bound, one in zip((0, 2, 3), each, strict=True):
+        np.testing.assert_array_equal(one.excess(t, y, r).value, whole.by_bound(t, y, r)[bound].value)
+    both = Limit("p", low=1.0, high=2.0)
+    assert [vars(one) for one in both.apart] == [vars(both)]
+
+
 def test_a_run_that_was_lost_breaks_every_limit_and_none_of_its_neighbours():
     y = np.zeros((3, 8))
     y[1, 3:] = np.nan

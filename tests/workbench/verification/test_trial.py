@@ -160,6 +160,17 @@ def test_a_command_that_cannot_reach_far_steps_less():
     assert "steps of y 0.05 m" in found.sentence
 
 
+@pytest.mark.parametrize("high", [0.9, np.inf])
+def test_a_model_that_counts_from_where_no_command_comes_is_tried_where_commands_reach(high):
+    """A pump's model at standstill, a law that commands 0.6 to 0.9 of its speed: the loop is as sound as its margins say."""
+    ends = {"low": np.array([0.6]), "high": np.array([high])}
+    law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[0.5]], u0=np.array([0.7]), **ends)
+    still = replace(lag(), operating_point=OperatingPoint(CONSTANT, [[0.0]], [[-5.8]]))
+    found = on_model(law, still)
+    assert not found.lost
+    assert -5.8 + 0.6 <= float(found.sentence.split("from ")[1].split()[0]) <= -5.8 + 0.9
+
+
 @pytest.mark.slow
 def test_a_limit_cycle_at_the_stops_is_lost():
     law = pid(("u",), ("y",), ("y_set",), 0.1, [[0.0]], [[60.0]], u0=np.array([0.5]), low=np.array([-9.0]), high=np.array([10.0]))
