@@ -160,9 +160,11 @@ def _brief(asked: str, trial: Trial, margins: Badge, moved: Sequence[str], path:
 
 
 def _tried_on(options: Namespace) -> Chosen | None:
-    """The plant that the law is tried on: as given, or the one that the diagnosis has extended."""
+    """The plant that the law is tried on: as given, or the one that the diagnosis has extended, beside it or as --model."""
     if options.plant or not options.diagnosis:
         return choose_plant(options.plant) if options.plant else None
+    if is_plant(options.model) and options.model.endswith(PLANT_FILE):
+        return choose_plant(options.model)
     extended = Path(options.diagnosis).with_name(PLANT_FILE)
     if not extended.is_file():
         mend = f"give --plant my_plant.py:NAME+{PLANT_FILE}, or diagnose again"

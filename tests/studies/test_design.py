@@ -9,6 +9,7 @@ import control
 import numpy as np
 import pytest
 
+import studies.design as design_module
 from controllers.designs import ScheduledPIDDesign
 from controllers.files import load_controller, save_controller
 from controllers.pictures import _step
@@ -445,3 +446,12 @@ def test_a_plant_is_a_model_about_its_start(folder, capsys):
     law = load_controller(out / "pid.json")
     np.testing.assert_allclose(law.Ka, 200.0, rtol=1e-3)
     np.testing.assert_allclose(law.Kaa, 95.0 + 0.01 * 200.0, rtol=5e-3)  # M, half a sample of Fv, half of a path's rate
+
+
+@pytest.mark.parametrize(("model", "plant", "taken"), [
+    ("own.py:AXIS+found/extended.json", None, "own.py:AXIS+found/extended.json"), ("lti.json", "robot", "robot"),
+])  # fmt: skip
+def test_a_compensation_is_tried_on_the_extended_plant_that_is_the_model(model, plant, taken, monkeypatch):
+    monkeypatch.setattr(design_module, "choose_plant", lambda text: text)
+    options = SimpleNamespace(model=model, plant=plant, diagnosis="found/diagnosis.json")
+    assert design_module._tried_on(options) == taken
