@@ -1,5 +1,7 @@
 # The public list of `controllers`: every name and the module that it comes from, loaded when it is first used.
 
+from .autotune import Autotuned as Autotuned
+from .autotune import autotune as autotune
 from .compensation import compensated as compensated
 from .decided import decided as decided
 from .designs import MPCDesign as MPCDesign

@@ -88,6 +88,18 @@ def _look(sub: argparse.ArgumentParser) -> None:
     _file_dt(sub)
 
 
+def _autotune(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("records", nargs="+", metavar="RECORD", help="a step, a relay or a loop in which input and output move")
+    _roles(sub)
+    _file_dt(sub)
+    sub.add_argument("--sensitivity", type=float, default=1.6, metavar="MS", help="largest sensitivity |S| (default 1.6)")
+    sub.add_argument("--effort", type=float, default=3.0, metavar="M", help="how hard it may act, see design (default 3)")
+    sub.add_argument("--no-derivative", action="store_true", help="PI instead of PID")
+    sub.add_argument("--cycle", type=float, metavar="S", help="cycle of the controller in s (default: some samples)")
+    sub.add_argument("--present", metavar="KC,TI,TD", help="what is set now, in standard form, to be looked at beside it")
+    sub.add_argument("--time-unit", default="s", metavar="U", help="of times: s (default) or min")
+
+
 def _identify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("records", nargs="+", metavar="RECORD", help="estimation records (text, Excel, MAT, Parquet, TDMS, MDF)")
     _roles(sub)
@@ -445,6 +457,12 @@ COMMANDS = {
         "score identified models on records and test their residuals",
         "example:\n  workbench compare ssm.json ilm.json --holdout c.csv d.csv",
         _compare,
+    ),
+    "autotune": Command(
+        "a PID from one record of a step, a relay or a loop: the process that it shows, and gains in every form",
+        "examples:\n  workbench autotune step.csv --inputs valve --output level\n"
+        "  workbench autotune loop.csv --inputs u --output T --present 2.0,120,0 --time-unit min",
+        _autotune,
     ),
     "calibrate": Command(
         "fit physical parameters of a plant to records, with the tolerances of its data sheet as prior",
