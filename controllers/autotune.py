@@ -41,6 +41,7 @@ KEPT = 1.005  # times the bound that |S| of a drawn process may have
 CYCLES = 40.0  # of the law in the dead time and the time constant, where none is asked for
 WEIGHTS, OVERSHOOT = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0), 0.1  # of the set-point: the largest that overshoots by no more
 COMPLEMENTARY = 1.3, 1.15, 1.05  # largest |T|: more of it overshoots after a step of the set-point
+CALMER = 0.85  # times all gains, where no law is found for all processes at once
 STEP, LOAD = 0.5, 0.25  # of the span of the record, that the loop is tried with
 SHORTEST, LONGEST = 200, 4000  # samples of a trial
 UNITS = {"s": 1.0, "min": 60.0}
@@ -123,7 +124,10 @@ def _designed(
             break
         kept += [drawn[k] for k in beyond[np.argsort(-peaks[1:][beyond])][:ADDED] if drawn[k] not in kept]
         progress(f"designing, {1 + len(kept)} processes")
-        law = _law(nominal, tuple(kept), options, process, size)
+        try:
+            law = _law(nominal, tuple(kept), options, process, size)
+        except InputError:  # not found: what is calmer in all of its parts is there where the process is stable
+            law = replace(law, **{name: CALMER * getattr(law, name) for name in ("Kp", "Ki", "Kd")})
     return law, np.array([_peak(law, m) for m in (nominal, *drawn)])
 
 

@@ -247,3 +247,8 @@ def test_margins_hold_on_the_plant_itself(block):
     found = [judged(seed) for seed in range(1000 + 15 * block, 1015 + 15 * block)]
     assert [said for said in found if said.startswith("lost")] == []
     assert sum(said.startswith("kept") for said in found) >= 12
+
+
+@pytest.mark.slow
+def test_where_no_law_is_found_for_all_processes_at_once_a_calmer_one_is_taken():
+    assert judged(46).startswith("kept")

@@ -28,7 +28,8 @@ READ = 1e-3  # of a reading, or of its unit near 0: differences on both sides, e
 def linearised(plant: Plant, dt: float | None = None) -> LPVModel:
     """The plant about its start as an LPV model without schedule, sampled every dt seconds (default: the plant's own).
 
-    The model's noise is that of the plant's channels. Raises InputError for plants that are known at their samples alone, or
+    Its outputs are the plant's, but for those that have the role "other": they are logged, and nobody controls them. The model's
+    noise is that of the plant's channels. Raises InputError for plants that are known at their samples alone, or
     whose inputs move on their own: there a model is identified.
 
         >>> linearised(MOTOR.sampled(0.02)).dt
@@ -46,10 +47,12 @@ def linearised(plant: Plant, dt: float | None = None) -> LPVModel:
     delays, lags = time("input-delay", plant.input_names), time("sensor-lag", plant.output_names)
     commands, y, slopes = _as_logged(plant, x, u)
     matrices = _sampled(*_lagged(A, B, slopes[:, None] * C, lags), dt, delays)
-    noise = np.diag([plant.noise.get(name, 0.0) ** 2 for name in plant.output_names])
-    channels = tuple(replace(c, role="input") for c in plant.inputs), tuple(replace(c, role="output") for c in plant.outputs)
-    at = OperatingPoint(CONSTANT, commands[None], y[None])
-    return constant_model(plant.name, dt, channels, matrices, at, noise=noise)
+    own = [j for j, c in enumerate(plant.outputs) if c.role != "other"] or list(range(len(plant.outputs)))
+    noise = np.diag([plant.noise.get(plant.outputs[j].name, 0.0) ** 2 for j in own])
+    outputs = tuple(replace(plant.outputs[j], role="output") for j in own)
+    at = OperatingPoint(CONSTANT, commands[None], y[None, own])
+    (A, B, C, D), inputs = matrices, tuple(replace(c, role="input") for c in plant.inputs)
+    return constant_model(plant.name, dt, (inputs, outputs), (A, B, C[own], D[own]), at, noise=noise)
 
 
 def _check(plant: Plant) -> None:

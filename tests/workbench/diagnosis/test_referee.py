@@ -115,7 +115,7 @@ def step(gain: float, none: bool = False, lasts: bool = False, far: float = 0.5)
     """A step as far as an objection looks at it; none: the intervals of its sizes hold 0; lasts: free runs ask for it; far: how
     many standard deviations from its data sheet it takes a parameter.
     """
-    before, after = (SimpleNamespace(farthest=f) for f in (0.5, far))
+    before, after = (SimpleNamespace(farthest=f, beyond=0.0) for f in (0.5, far))
     return SimpleNamespace(gain=gain, before=before, after=after, none=none, lasts=lasts)
 
 

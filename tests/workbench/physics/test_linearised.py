@@ -74,3 +74,13 @@ def test_what_has_no_linear_model_is_refused():
         linearised(replace(AXIS, effects={"sensor-resonance@q": {"time": 0.01}}))
     with pytest.raises(InputError, match="sensor-resonance@q is not in the linear model"):
         linearised(replace(AXIS, effects={"sensor-resonance@q": {"time": 0.01}}))
+
+
+def test_what_nobody_controls_is_no_output_of_the_linear_model():
+    """A tacho beside a position is logged, and one input cannot move both on its own."""
+    tacho = Channel("w", "m/s", "other")
+    both = replace(AXIS, outputs=(*AXIS.outputs, tacho), measure=lambda x, p: {"q": x.q, "w": x.v})
+    own, alone = linearised(both), linearised(AXIS)
+    assert [c.name for c in own.outputs] == ["q"]
+    np.testing.assert_array_equal(own.C, alone.C)
+    np.testing.assert_array_equal(own.A, alone.A)
