@@ -21,7 +21,7 @@ from controllers.files import save_controller
 from controllers.pid import pid, standard_form
 from controllers.scheduled_pid import ScheduledPID
 from workbench.answers.answer import Answer, Records, as_dataset
-from workbench.data import Dataset
+from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
 from workbench.identification.process import FORMS, Process, fit_processes, free_run
@@ -44,7 +44,7 @@ COMPLEMENTARY = 1.3, 1.15, 1.05  # largest |T|: more of it overshoots after a st
 CALMER = 0.85  # times all gains, where no law is found for all processes at once
 STEP, LOAD = 0.5, 0.25  # of the span of the record, that the loop is tried with
 SHORTEST, LONGEST = 200, 4000  # samples of a trial
-UNITS = {"s": 1.0, "min": 60.0}
+TIME_UNITS = "s", "min"
 NAMES = {
     "lag": "a lag", "second-order": "a process of second order", "ramp": "a process that integrates",
     "lagged-ramp": "a process that integrates, with a lag",
@@ -73,8 +73,7 @@ def autotune(
     progress("fitting processes")
     found = fit_processes(data, forms)
     best, rivals = found[0], [p for p in found[1:] if p.bic < found[0].bic + TIE]
-    first = data.experiments[0]
-    u, y = (first.channel(first.names_of(role)[0]) for role in ("input", "output"))
+    u, y = _channels(data)
     cycle = cycle or best.dt * max(1.0, np.floor((best.L + best.slowest / 4.0) / (CYCLES * best.dt)))
     processes = [*best.drawn(np.random.default_rng(seed), DRAWS), *rivals]
     nominal, drawn = best.model(cycle, u, y), [p.model(cycle, u, y, f"drawn {i}") for i, p in enumerate(processes)]
@@ -88,9 +87,11 @@ def autotune(
         now = pid((u.name,), (y.name,), law.references, cycle, Kp, Ki, Kd, Tf=law.Tf, name="present")
     progress("trying it on what the record leaves open")
     far = drawn[int(np.argmax(peaks[1:]))]
-    laws = {"new": law, **({"present": now} if now is not None else {})}
-    runs = {name: _run(own, nominal, size, _length(best, law)) for name, own in laws.items()}
-    runs["new, on the worst process"] = _run(law, far, size, _length(best, law))
+    N = _length(best, law)
+    runs = {"new": _run(law, nominal, size, N)}
+    if now is not None:
+        runs["present"] = _run(now, nominal, size, N)
+    runs["new, on the worst process"] = _run(law, far, size, N)
     margin = _peak(now, nominal) if now is not None else None
     return Autotuned(best, tuple(found[1:]), law, peaks, sensitivity, size, runs, margin, Records(data, None, tuple(data.notes)))
 
@@ -107,42 +108,52 @@ def _designed(
     for most in COMPLEMENTARY:
         progress(f"designing, |T| up to {most:g}")
         try:
-            law = _law(nominal, (), {**options, "complementary": most}, process, size)
+            law, overshoot = _law(nominal, (), {**options, "complementary": most}, process, size)
         except InputError:
             if law is None:
                 raise
             break  # of a process that integrates |T| is above 1
         options["complementary"] = most
-        if _overshoot(_run(law, nominal, size, _length(process, law)), size) <= OVERSHOOT:
+        if overshoot <= OVERSHOOT:
             break
     assert law is not None
     kept: list[LPVModel] = []
+    peaks = _peaks(law, nominal, drawn)
     for _ in range(ROUNDS):
-        peaks = np.array([_peak(law, m) for m in (nominal, *drawn)])
         beyond = np.flatnonzero(peaks[1:] > KEPT * options["sensitivity"])
         if len(beyond) <= SPARED:
             break
         kept += [drawn[k] for k in beyond[np.argsort(-peaks[1:][beyond])][:ADDED] if drawn[k] not in kept]
         progress(f"designing, {1 + len(kept)} processes")
         try:
-            law = _law(nominal, tuple(kept), options, process, size)
+            law, _ = _law(nominal, tuple(kept), options, process, size)
         except InputError:  # not found: what is calmer in all of its parts is there where the process is stable
             law = replace(law, **{name: CALMER * getattr(law, name) for name in ("Kp", "Ki", "Kd")})
-    return law, np.array([_peak(law, m) for m in (nominal, *drawn)])
+        peaks = _peaks(law, nominal, drawn)
+    return law, peaks
 
 
 def _law(
     nominal: LPVModel, kept: tuple[LPVModel, ...], options: Mapping[str, Any], process: Process, size: tuple[float, float]
-) -> ScheduledPID:
-    """The least variance under load steps, with the largest weight of the set-point with which a step of it overshoots little."""
+) -> tuple[ScheduledPID, float]:
+    """The least variance under load steps, with the largest weight of the set-point with which a step of it overshoots little;
+    and by how much it does.
+    """
     free = {nominal.outputs[0].name: np.inf}
     design = ScheduledPIDDesign(knots=1, feedforward=False, reference_model=free, robust_to=kept, **options)
     law = design.design(nominal).law
+    N, overshoot = _length(process, law), np.inf
     for b in WEIGHTS:
         law = replace(law, b=np.array([b]))
-        if _overshoot(_run(law, nominal, size, _length(process, law)), size) <= OVERSHOOT:
+        overshoot = _overshoot(_run(law, nominal, size, N), size)
+        if overshoot <= OVERSHOOT:
             break
-    return law
+    return law, overshoot
+
+
+def _peaks(law: ScheduledPID, nominal: LPVModel, drawn: Sequence[LPVModel]) -> np.ndarray:
+    """The largest |S| of the nominal process, then of the drawn ones."""
+    return np.array([_peak(law, m) for m in (nominal, *drawn)])
 
 
 def _peak(law: ScheduledPID, model: LPVModel) -> float:
@@ -228,9 +239,13 @@ class Autotuned(Answer):
     @property
     def units(self) -> tuple[str, str]:
         """Of the output and the input."""
-        first = self.records.own.experiments[0]
-        y, u = (first.channel(first.names_of(role)[0]).unit for role in ("output", "input"))
-        return y, u
+        u, y = _channels(self.records.own)
+        return y.unit, u.unit
+
+    @property
+    def kept(self) -> float:
+        """Share of the drawn processes on which |S| is within its bound."""
+        return float(np.mean(self.peaks[1:] <= KEPT * self.sensitivity))
 
     @property
     def overshoot(self) -> float:
@@ -252,10 +267,9 @@ class Autotuned(Answer):
         said.append(f"The record shows {told(self.process, self.units)}; a free run explains {self.process.fit:.0f} % of it.")
         close = [p for p in self.others if p.bic < self.process.bic + TIE]
         said += [f"It may as well be {NAMES[p.form]}: the gains suit both." for p in close]
-        kept = float(np.mean(drawn <= KEPT * self.sensitivity))
         said.append(
-            f"|S| is at most {self.peaks[0]:.3g} on it, and within {self.sensitivity:g} on {100 * kept:.0f} % of {len(drawn)} "
-            f"processes that the record leaves open (largest {drawn.max():.3g})."
+            f"|S| is at most {self.peaks[0]:.3g} on it, and within {self.sensitivity:g} on {100 * self.kept:.0f} % of "
+            f"{len(drawn)} processes that the record leaves open (largest {drawn.max():.3g})."
         )
         said.append(f"A step of the set-point overshoots by {100 * self.overshoot:.0f} %.")
         if self.present is not None:
@@ -279,16 +293,14 @@ class Autotuned(Answer):
     def report(self, source: Mapping[str, Any] | None = None) -> Report:
         """Gains, the record beside the process, the loop, and what else the record may be."""
         data = self.records.own
-        first = data.experiments[0]
-        u, y = (first.channel(first.names_of(role)[0]) for role in ("input", "output"))
+        u, y = _channels(data)
         N = len(self.runs["new"].r)
-        names = {name: run for name, run in self.runs.items()}
         loop = figures.closed_loop(
             "A step of the set-point, then of the load",
             self.law.dt * np.arange(N),
             (
-                Followed(y, self.runs["new"].r, {name: run.y for name, run in names.items()}),
-                Followed(u, None, {name: run.u for name, run in names.items()}),
+                Followed(y, self.runs["new"].r, {name: run.y for name, run in self.runs.items()}),
+                Followed(u, None, {name: run.u for name, run in self.runs.items()}),
             ),
         )
         fits: list[Picture] = [
@@ -300,19 +312,11 @@ class Autotuned(Answer):
             "Gains", ("form", "gain", "integral", "derivative"), tuple(rows), caption="Times in s; see the units of the channels."
         )
         forms = tuple(
-            (
-                p.form,
-                p.K,
-                p.T if p.T else None,
-                p.zeta if p.form == "second-order" else None,
-                p.L,
-                p.fit,
-                p.bic - self.process.bic,
-            )
+            (p.form, p.K, p.T or None, p.zeta if "zeta" in p.names else None, p.L, p.fit, p.bic - self.process.bic)
             for p in (self.process, *self.others)
         )
         header = ("form", "K", "T [s]", "zeta", "dead time [s]", "free run [%]", "BIC, worse by")
-        sure = float(np.mean(self.peaks[1:] <= KEPT * self.sensitivity)) >= 1.0 - 2.0 * SPARED / DRAWS
+        sure = self.kept >= 1.0 - 2.0 * SPARED / DRAWS
         badges = (
             Badge(
                 "Process", self.process.form, f"A free run explains {self.process.fit:.0f} %.", _standing(self.process.fit > 70.0)
@@ -331,8 +335,7 @@ class Autotuned(Answer):
     def save(self, folder: str | Path, source: Mapping[str, Any] | None = None) -> Path:
         """Write autotune.json, pid.json, process.json and the page; returns the folder."""
         folder, source = Path(folder), dict(source or self.records.source({}))
-        first = self.records.own.experiments[0]
-        u, y = (first.channel(first.names_of(role)[0]) for role in ("input", "output"))
+        u, y = _channels(self.records.own)
         save_controller(self.law, folder / PID_FILE)
         self.process.model(self.law.dt, u, y).save(folder / PROCESS_FILE)
         write_json(folder / AUTOTUNE_FILE, self.to_dict() | {"provenance": nullable(source)})
@@ -340,6 +343,13 @@ class Autotuned(Answer):
         return folder
 
     __repr__ = Answer.said
+
+
+def _channels(data: Dataset) -> tuple[Channel, Channel]:
+    """The input and the output."""
+    first = data.experiments[0]
+    u, y = (first.channel(first.names_of(role)[0]) for role in ("input", "output"))
+    return u, y
 
 
 def told(p: Process, units: tuple[str, str]) -> str:

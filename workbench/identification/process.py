@@ -46,8 +46,8 @@ KNOWN = 0.3  # relative standard deviation up to which a gain or a time is known
 class Process:
     """A process; K [y/u], or [y/u/s] of one that integrates, T [s], zeta, dead time L [s]; u0, y0: an equilibrium.
 
-    covariance: of (log K, the logarithms of T and zeta, L), in the order of `names`; samples: what it rests on. fit [percent]:
-    share of the output's motion that a free run explains.
+    covariance: of (log K, the logarithms of T and zeta, L), in the order of `names`. fit [percent]: share of the output's motion
+    that a free run explains.
     """
 
     form: str
@@ -104,10 +104,9 @@ class Process:
                 A[0, n + j - 1] += value
             else:
                 B[0, 0] += value
-        if count > 1:
-            B[n, 0] = 1.0
-            A[np.arange(n + 1, n + count), np.arange(n, n + count - 1)] = 1.0
-        kept = n + max(count - 1, 0)
+        B[n, 0] = 1.0
+        A[np.arange(n + 1, n + count), np.arange(n, n + count - 1)] = 1.0
+        kept = n + count - 1
         at = OperatingPoint(CONSTANT, np.array([[self.u0]]), np.array([[self.y0]]))
         matrices = A[:kept, :kept], B[:kept], C[:, :kept], np.zeros((1, 1))
         return constant_model(name, dt, ((u,), (y,)), matrices, at)
@@ -126,13 +125,18 @@ def fit_processes(dataset: Dataset, forms: Sequence[str] = FORMS) -> list[Proces
 
 
 class _Data(NamedTuple):
-    """A record: u (N) from its first value on, y (N), dt, and its name."""
+    """A record: u (N) less its first value, which is `begun`, y (N), dt, and its name."""
 
     u: np.ndarray
     y: np.ndarray
     dt: float
     name: str
     begun: float
+
+    @classmethod
+    def of(cls, e: Experiment) -> "_Data":
+        u, y = e[e.names_of("input")[0]], e[e.names_of("output")[0]]
+        return cls(u - u[0], y, e.dt, e.name, float(u[0]))
 
 
 def _records(dataset: Dataset) -> Iterator[_Data]:
@@ -144,12 +148,11 @@ def _records(dataset: Dataset) -> Iterator[_Data]:
     for e in dataset:
         if len(e) < SHORTEST:
             raise InputError(f"{len(e)} samples", file=e.name, mend=f"at least {SHORTEST}")
-        own = e.resample(e.dt * np.ceil(len(e) / LONGEST)) if len(e) > LONGEST else e
-        u, y = own[inputs[0]], own[outputs[0]]
-        if not np.ptp(u) > 0.0:
+        own = _Data.of(e.resample(e.dt * np.ceil(len(e) / LONGEST)) if len(e) > LONGEST else e)
+        if not np.ptp(own.u) > 0.0:
             mend = "a record of a step, of a relay or of a loop in which it moves"
             raise InputError("does not move", file=e.name, channel=inputs[0], mend=mend)
-        yield _Data(u - u[0], y, own.dt, e.name, float(u[0]))
+        yield own
 
 
 # ---- the response to an input that is held -----------------------------------------------------------------------------
@@ -228,7 +231,7 @@ class _Search:
         }  # fmt: skip
         self.low, self.high = (np.array(end) for end in zip(*(ends[name] for name in self.names), strict=True))
         self.steps = np.array([0.05 * self.dt if name == "L" else 1e-4 for name in self.names])
-        self.order = min(MOST_NOISE, max(NOISE, sum(len(d.y) for d in data) // PER_NUMBER))
+        self.order = _order(data)
 
     def values(self, z: np.ndarray) -> list[float]:
         return [float(v if name == "L" else np.exp(v)) for name, v in zip(self.names, z, strict=True)]
@@ -298,11 +301,8 @@ class _Search:
     def noise(self, z: np.ndarray) -> np.ndarray:
         """1 + c1 / z + .., which makes innovations of what the process leaves of the output."""
         left = self.solved(z, np.ones(1))[0]
-        rows, right = [], []
-        for e in np.split(left, np.cumsum([len(d.y) for d in self.data])[:-1]):
-            rows.append(np.column_stack([e[self.order - j : len(e) - j] for j in range(1, self.order + 1)]))
-            right.append(e[self.order :])
-        return np.concatenate([[1.0], -np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]])
+        X, y = _former(np.split(left, np.cumsum([len(d.y) for d in self.data])[:-1]), self.order)
+        return np.concatenate([[1.0], -np.linalg.lstsq(X, y, rcond=None)[0]])
 
     def process(self, bic: float, z: np.ndarray, noise: np.ndarray) -> Process:
         """The process with its covariance and the share of the output that a free run explains."""
@@ -334,6 +334,17 @@ class _Search:
         )
 
 
+def _order(data: Sequence[_Data]) -> int:
+    """Of what is left."""
+    return min(MOST_NOISE, max(NOISE, sum(len(d.y) for d in data) // PER_NUMBER))
+
+
+def _former(series: Sequence[np.ndarray], order: int) -> tuple[np.ndarray, np.ndarray]:
+    """The `order` samples before each sample of every series, the last one first, and these samples."""
+    rows = [np.column_stack([e[order - j : len(e) - j] for j in range(1, order + 1)]) for e in series]
+    return np.concatenate(rows), np.concatenate([e[order:] for e in series])
+
+
 def _fitted(form: str, data: Sequence[_Data]) -> Process | None:
     """The likeliest process of a form: at rest where the records begin, unless what they began with shows for sure."""
     still, moving = _Search(form, data), _Search(form, data, moving=True)
@@ -348,7 +359,7 @@ def _fitted(form: str, data: Sequence[_Data]) -> Process | None:
 
 def _check_shown(found: Sequence[Process], data: Sequence[_Data]) -> None:
     name = data[0].name
-    still = _without_input(data, _Search(FORMS[0], data).order)
+    still = _without_input(data, _order(data))
     if not found or still - found[0].bic < SHOWN:
         mend = "a larger step, or a longer record: the output must leave its noise and its drift behind it"
         raise InputError("the output does not follow the input", file=name, mend=mend)
@@ -362,12 +373,8 @@ def _check_shown(found: Sequence[Process], data: Sequence[_Data]) -> None:
 
 def _without_input(data: Sequence[_Data], order: int) -> float:
     """BIC of an output that follows nothing: an offset and noise of the same kind for each record."""
-    rows, right = [], []
-    for d in data:
-        y = d.y - d.y.mean()
-        rows.append(np.column_stack([*(y[order - j : len(y) - j] for j in range(1, order + 1)), np.ones(len(y) - order)]))
-        right.append(y[order:])
-    X, y = np.concatenate(rows), np.concatenate(right)
+    X, y = _former([d.y - d.y.mean() for d in data], order)
+    X = np.column_stack([X, np.ones(len(X))])
     left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
     variance = float(left @ left) / len(left)
     return len(left) * float(np.log(max(variance, 1e-300))) + (order + len(data)) * float(np.log(len(left)))
@@ -375,8 +382,7 @@ def _without_input(data: Sequence[_Data], order: int) -> float:
 
 def free_run(process: Process, e: Experiment) -> np.ndarray:
     """The output (N) along a record, begun as suits it best."""
-    u, y = e[e.names_of("input")[0]], e[e.names_of("output")[0]]
-    d = _Data(u - u[0], y, e.dt, e.name, float(u[0]))
+    d = _Data.of(e)
     columns = _columns(process.form, d, [getattr(process, name) for name in NUMBERS[process.form]], moving=True)
     driven = process.K * columns[:, 0]
-    return driven + columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], y - driven, rcond=None)[0]
+    return driven + columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], d.y - driven, rcond=None)[0]

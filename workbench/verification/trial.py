@@ -200,9 +200,8 @@ def _steps(law: Any, model: LPVModel, rest: np.ndarray, given: Mapping[str, floa
     phi, point = model.operating_point.basis(model.middle), model.operating_point
     need = np.linalg.pinv(moved)
     u = phi @ point.u + rests(A, B, C, D)[1] @ (rest - phi @ point.y)
-    acts = [[c.name for c in model.inputs].index(name) for name in law.actuated]
-    none = np.full(len(acts), np.inf)
-    room = np.minimum(u[acts] - getattr(law, "low", -none), getattr(law, "high", none) - u[acts])
+    acts, low, high = _commands(law, model)
+    room = np.minimum(u[acts] - low, high - u[acts])
     reach = np.min(np.maximum(room, 0.0)[:, None] / np.maximum(np.abs(need[acts]), 1e-300), axis=0)
     free = np.linalg.norm(moved, axis=1)
     usual = np.where(np.isfinite(reach) & (reach > 0.0), SHARE * reach if model.free else np.minimum(SHARE * reach, free), free)
@@ -215,22 +214,29 @@ def _held(law: Any, model: LPVModel, phi: np.ndarray) -> np.ndarray:
     A model of a pump may count from a standstill that no record and no law comes near.
     """
     y, u = phi @ model.operating_point.y, phi @ model.operating_point.u
-    acts, none = [[c.name for c in model.inputs].index(name) for name in law.actuated], np.full(len(law.actuated), np.inf)
-    low, high = getattr(law, "low", -none), getattr(law, "high", none)
+    acts, low, high = _commands(law, model)
     if model.free or np.all((u[acts] >= low) & (u[acts] <= high)):
         return y
-    both = np.isfinite(low) & np.isfinite(high)
-    held = np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.clip(u[acts], low, high))
     A, B, C, D = model.freeze(model.middle if model.schedules else None)
-    return y + gain(A, B, C, D)[:, acts] @ (held - u[acts])
+    return y + gain(A, B, C, D)[:, acts] @ (_middle(u[acts], low, high) - u[acts])
+
+
+def _commands(law: Any, model: LPVModel) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Which inputs of the model a law commands, and their limits."""
+    acts, none = [[c.name for c in model.inputs].index(name) for name in law.actuated], np.full(len(law.actuated), np.inf)
+    return acts, getattr(law, "low", -none), getattr(law, "high", none)
+
+
+def _middle(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Between two limits the middle, where there is one alone the value that it lets through."""
+    both = np.isfinite(low) & np.isfinite(high)
+    return np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.clip(values, low, high))
 
 
 def _inside(law: Any, rest: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Set-points and steps within the limits that a law keeps its outputs in, where it has any: nothing else is asked of it."""
     low, high = getattr(law, "y_low", np.full(len(rest), -np.inf)), getattr(law, "y_high", np.full(len(rest), np.inf))
-    both = np.isfinite(low) & np.isfinite(high)
-    middle = np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.clip(rest, low, high))
-    rest = np.where((rest >= low) & (rest <= high), rest, middle)
+    rest = np.where((rest >= low) & (rest <= high), rest, _middle(rest, low, high))
     up, down = high - rest, rest - low
     return rest, np.where(step <= up, step, np.where(step <= down, -step, np.where(up >= down, up, -down)))
 
