@@ -4,8 +4,9 @@ tuned = autotune(wb.read("step.csv", inputs="valve", outputs="level"))
 tuned.gains["standard"]        # {"Kc": .., "Ti": .., "Td": ..}
 tuned.save("runs/level")       # autotune.json, pid.json, process.json, report.html
 
-The record leaves the process open within a covariance (`workbench.identification.process`). Processes are drawn from it, and the
-PID keeps |S| within its bound on them: it is designed again with the worst ones among its models until it does.
+The record leaves the process open within a covariance (`workbench.identification.process`), and often its form. Processes are
+drawn from every form that may be the true one, and the PID keeps |S| within its bound on them: it is designed with the worst ones
+among its models until it does, made calmer where that does not end, and refused where neither helps.
 """
 
 import math
@@ -24,7 +25,7 @@ from workbench.answers.answer import Answer, Records, as_dataset
 from workbench.data import Channel, Dataset
 from workbench.errors import InputError
 from workbench.files import nullable, write_json
-from workbench.identification.process import FORMS, Process, fit_processes, free_run
+from workbench.identification.process import FORMS, Process, fit_processes, free_run, rivals
 from workbench.lpv import LPVModel
 from workbench.progress import Progress, silent
 from workbench.records import field, record
@@ -32,16 +33,17 @@ from workbench.report import figures
 from workbench.report.blocks import Badge, Brief, Picture, Provenance, Report, Section, Standing, Table
 from workbench.report.figures import Followed, Trace
 from workbench.report.page import write_report
-from workbench.robustness.frozen import worst_margins
+from workbench.robustness.frozen import largest_sensitivity
 
 AUTOTUNE_FILE, PROCESS_FILE, PID_FILE = "autotune.json", "process.json", "pid.json"
-DRAWS, SPARED, ROUNDS, ADDED = 60, 1, 5, 2  # processes drawn, of which so many may be beyond; designs, and models that each adds
-TIE = 10.0  # BIC within which another form of process may be the true one
+DRAWS, RIVAL_DRAWS = 60, 30  # processes drawn of the likeliest form, and of every other that may be the true one
+SPARED, ROUNDS, ADDED = 1 / 60, 5, 2  # share of them that may be beyond; designs, and models that each adds
 KEPT = 1.005  # times the bound that |S| of a drawn process may have
 CYCLES = 40.0  # of the law in the dead time and the time constant, where none is asked for
+MOST_CYCLES = 200.0  # in the dead time
 WEIGHTS, OVERSHOOT = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0), 0.1  # of the set-point: the largest that overshoots by no more
 COMPLEMENTARY = 1.3, 1.15, 1.05  # largest |T|: more of it overshoots after a step of the set-point
-CALMER = 0.85  # times all gains, where no law is found for all processes at once
+CALMER, CALMED = 0.85, 10  # times the gains where no law is found for all processes at once, and how often at most
 STEP, LOAD = 0.5, 0.25  # of the span of the record, that the loop is tried with
 SHORTEST, LONGEST = 200, 4000  # samples of a trial
 TIME_UNITS = "s", "min"
@@ -72,10 +74,19 @@ def autotune(
         raise InputError(f"present {present}", mend="gain, integral time and derivative time: 2.0, 30, 5")
     progress("fitting processes")
     found = fit_processes(data, forms)
-    best, rivals = found[0], [p for p in found[1:] if p.bic < found[0].bic + TIE]
+    best = found[0]
     u, y = _channels(data)
-    cycle = cycle or best.dt * max(1.0, np.floor((best.L + best.slowest / 4.0) / (CYCLES * best.dt)))
-    processes = [*best.drawn(np.random.default_rng(seed), DRAWS), *rivals]
+    own = best.dt * max(1.0, np.floor((best.L + best.slowest / 4.0) / (CYCLES * best.dt)))
+    cycle = cycle or own
+    if MOST_CYCLES * cycle < best.L:
+        raise InputError(
+            f"cycle {cycle:g} s, dead time {best.L:.3g} s", mend=f"leave it out: gains for {own:.3g} s suit a faster one"
+        )
+    random = np.random.default_rng(seed)
+    processes = [
+        *best.drawn(random, DRAWS),
+        *(own for rival in rivals(best, found[1:]) for own in (rival, *rival.drawn(random, RIVAL_DRAWS))),
+    ]
     nominal, drawn = best.model(cycle, u, y), [p.model(cycle, u, y, f"drawn {i}") for i, p in enumerate(processes)]
     spans = [max(float(np.ptp(e[c.name])) for e in data) for c in (y, u)]
     size = STEP * spans[0], LOAD * spans[1]
@@ -92,7 +103,7 @@ def autotune(
     if now is not None:
         runs["present"] = _run(now, nominal, size, N)
     runs["new, on the worst process"] = _run(law, far, size, N)
-    margin = _peak(now, nominal) if now is not None else None
+    margin = largest_sensitivity(now, nominal, [None]) if now is not None else None
     return Autotuned(best, tuple(found[1:]), law, peaks, sensitivity, size, runs, margin, Records(data, None, tuple(data.notes)))
 
 
@@ -102,7 +113,8 @@ def _designed(
 ) -> tuple[ScheduledPID, np.ndarray]:  # fmt: skip
     """The law, and its largest |S| on the nominal process and on the drawn ones.
 
-    |T| is bounded as little as a step of the set-point on the nominal process allows, and refused where nothing keeps the bounds.
+    |T| is bounded as little as a step of the set-point on the nominal process allows. Raises InputError where no law keeps |S|
+    on the drawn ones.
     """
     law = None
     for most in COMPLEMENTARY:
@@ -118,19 +130,28 @@ def _designed(
             break
     assert law is not None
     kept: list[LPVModel] = []
-    peaks = _peaks(law, nominal, drawn)
-    for _ in range(ROUNDS):
+    for attempt in range(ROUNDS + CALMED + 1):
+        peaks = _peaks(law, nominal, drawn)
         beyond = np.flatnonzero(peaks[1:] > KEPT * options["sensitivity"])
-        if len(beyond) <= SPARED:
-            break
+        if len(beyond) <= SPARED * len(drawn):
+            return law, peaks
+        if attempt >= ROUNDS:
+            law = _calmer(law, process)
+            continue
         kept += [drawn[k] for k in beyond[np.argsort(-peaks[1:][beyond])][:ADDED] if drawn[k] not in kept]
         progress(f"designing, {1 + len(kept)} processes")
         try:
             law, _ = _law(nominal, tuple(kept), options, process, size)
-        except InputError:  # not found: what is calmer in all of its parts is there where the process is stable
-            law = replace(law, **{name: CALMER * getattr(law, name) for name in ("Kp", "Ki", "Kd")})
-        peaks = _peaks(law, nominal, drawn)
-    return law, peaks
+        except InputError:
+            law = _calmer(law, process)
+    told = f"no gains keep |S| within {options['sensitivity']:g} on the processes that the record leaves open"
+    raise InputError(told, mend="a longer record, or a larger step: it shows the process more exactly")
+
+
+def _calmer(law: ScheduledPID, process: Process) -> ScheduledPID:
+    """Slower by `CALMER`: all gains of a stable process; of one that integrates the crossover, at the same phase."""
+    powers = {"Kp": 1, "Ki": 2, "Kd": 0} if process.integrates else {"Kp": 1, "Ki": 1, "Kd": 1}
+    return replace(law, **{name: CALMER**power * getattr(law, name) for name, power in powers.items()})
 
 
 def _law(
@@ -153,13 +174,7 @@ def _law(
 
 def _peaks(law: ScheduledPID, nominal: LPVModel, drawn: Sequence[LPVModel]) -> np.ndarray:
     """The largest |S| of the nominal process, then of the drawn ones."""
-    return np.array([_peak(law, m) for m in (nominal, *drawn)])
-
-
-def _peak(law: ScheduledPID, model: LPVModel) -> float:
-    """The largest |S|, infinite where the loop is not stable."""
-    found = worst_margins(law, [model], [None])
-    return float(found.sensitivity.max()) if found.radius.max() < 1.0 else np.inf
+    return np.array([largest_sensitivity(law, m, [None]) for m in (nominal, *drawn)])
 
 
 # ---- the loop ------------------------------------------------------------------------------------------------------------
@@ -265,8 +280,7 @@ class Autotuned(Answer):
             f"weight of the set-point {b:g}, cycle {self.law.dt:.4g} s.",
         ]
         said.append(f"The record shows {told(self.process, self.units)}; a free run explains {self.process.fit:.0f} % of it.")
-        close = [p for p in self.others if p.bic < self.process.bic + TIE]
-        said += [f"It may as well be {NAMES[p.form]}: the gains suit both." for p in close]
+        said += [f"It may as well be {NAMES[p.form]}: the gains suit both." for p in rivals(self.process, self.others)]
         said.append(
             f"|S| is at most {self.peaks[0]:.3g} on it, and within {self.sensitivity:g} on {100 * self.kept:.0f} % of "
             f"{len(drawn)} processes that the record leaves open (largest {drawn.max():.3g})."
@@ -316,12 +330,13 @@ class Autotuned(Answer):
             for p in (self.process, *self.others)
         )
         header = ("form", "K", "T [s]", "zeta", "dead time [s]", "free run [%]", "BIC, worse by")
-        sure = self.kept >= 1.0 - 2.0 * SPARED / DRAWS
         badges = (
             Badge(
                 "Process", self.process.form, f"A free run explains {self.process.fit:.0f} %.", _standing(self.process.fit > 70.0)
             ),
-            Badge("Margins", f"|S| {self.peaks[1:].max():.3g}", "The largest on what the record leaves open.", _standing(sure)),
+            Badge(
+                "Margins", f"|S| {self.sensitivity:g}", f"Kept on {100 * self.kept:.0f} % of what is left open.", Standing.GOOD
+            ),
         )
         brief = Brief(f"Which PID suits {y.name} of this record?", self.sentences[0], badges, loop)
         sections = (
@@ -374,7 +389,7 @@ def _per(units: tuple[str, str]) -> str:
 def _plain(p: Process) -> dict[str, Any]:
     return {
         "form": p.form, "K": p.K, "T": p.T, "zeta": p.zeta, "L": p.L, "deviation": p.deviation, "fit": p.fit, "bic": p.bic,
-        "u0": p.u0, "y0": p.y0,
+        "u0": p.u0, "y0": p.y0, "moving": p.moving,
     }  # fmt: skip
 
 

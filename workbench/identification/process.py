@@ -32,6 +32,7 @@ NOISE, MOST_NOISE, PER_NUMBER = 2, 10, 40  # order of what is left, from so few 
 ROUNDS = 3  # how often it is found anew
 WANDERS = 0.0, 0.95  # poles of what is left that a search begins with
 MOVING = 10.0  # BIC that what a record began with must be worth
+TIE, NEAR = 10.0, 20.0  # BIC and percent of the free run within which another form may be the true one
 TIMES, DELAYS, DAMPINGS = 10, 12, (0.3, 1.0, 2.5)  # of the grid that a search begins on
 BEGUN = 2  # of its points for each of these, from which it descends
 SLOWEST, LATEST = 10.0, 0.5  # of the record's length: the largest time constant and dead time
@@ -39,6 +40,8 @@ FASTEST = 0.2  # samples: the smallest time constant
 NEGLIGIBLE = 1e-3  # samples of dead time that are none
 HELD = 0.29  # samples, standard deviation of when within its sample a command is written down
 SHOWN = 30.0  # BIC that a response to the input must be worth, for the record to show one
+OPEN = 1.0  # relative standard deviation above which a form has more numbers than the record shows
+FURTHEST = 3.0  # factor by which a drawn gain or time is off at most, and times the lag and the dead time of this
 KNOWN = 0.3  # relative standard deviation up to which a gain or a time is known
 
 
@@ -47,7 +50,7 @@ class Process:
     """A process; K [y/u], or [y/u/s] of one that integrates, T [s], zeta, dead time L [s]; u0, y0: an equilibrium.
 
     covariance: of (log K, the logarithms of T and zeta, L), in the order of `names`. fit [percent]: share of the output's motion
-    that a free run explains.
+    that a free run explains. moving: the records begin with a motion of its own, or with a drift.
     """
 
     form: str
@@ -61,6 +64,7 @@ class Process:
     covariance: np.ndarray = field("p p", default_factory=lambda: np.zeros((0, 0)))
     fit: float = 0.0
     bic: float = 0.0
+    moving: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,12 +86,13 @@ class Process:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
 
     def drawn(self, random: np.random.Generator, count: int) -> list["Process"]:
-        """Processes that may be the true one: normal draws around this one."""
+        """Processes that may be the true one: normal draws around this one, off by no more than a factor of `FURTHEST`."""
         at = np.array(
             [np.log(abs(self.K)), *(getattr(self, n) if n == "L" else np.log(getattr(self, n)) for n in self.names[1:])]
         )
         found = []
-        for values in random.multivariate_normal(at, self.covariance, count):
+        off = np.array([FURTHEST * (self.L + self.T + self.dt) if n == "L" else np.log(FURTHEST) for n in self.names])
+        for values in np.clip(random.multivariate_normal(at, self.covariance, count, check_valid="ignore"), at - off, at + off):
             own = {n: max(v, 0.0) if n == "L" else float(np.exp(v)) for n, v in zip(self.names, values, strict=True)}
             found.append(replace(self, **{**own, "K": float(np.sign(self.K)) * own["K"]}))
         return found
@@ -286,7 +291,11 @@ class _Search:
             z, noise = found.x, self.noise(found.x)
         left, numbers = self.solved(z, noise)
         variance = float(left @ left) / max(len(left) - len(numbers) - len(z), 1)
-        bic = len(left) * np.log(max(variance, 1e-300)) + (len(z) + len(numbers) + self.order) * np.log(len(left))
+        bic = (
+            len(left) * np.log(max(variance, 1e-300))
+            + (len(z) + len(numbers) + self.order) * np.log(len(left))
+            + MOVING * self.moving
+        )
         return (float(bic), z, noise) if np.isfinite(bic) else (np.inf, z, noise)
 
     def slopes(self, of: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
@@ -330,8 +339,9 @@ class _Search:
         own = dict(zip(self.names, self.values(z), strict=True))
         own["L"] = own["L"] if own["L"] > NEGLIGIBLE * self.dt else 0.0
         return Process(
-            self.form, K, own["L"], own.get("T", 0.0), own.get("zeta", 1.0), float(u0), float(y0), self.dt, covariance, fit, bic
-        )
+            self.form, K, own["L"], own.get("T", 0.0), own.get("zeta", 1.0), float(u0), float(y0), self.dt, covariance, fit, bic,
+            self.moving,
+        )  # fmt: skip
 
 
 def _order(data: Sequence[_Data]) -> int:
@@ -350,11 +360,22 @@ def _fitted(form: str, data: Sequence[_Data]) -> Process | None:
     still, moving = _Search(form, data), _Search(form, data, moving=True)
     found = min((still.descended(z) for z in still.begun()), key=lambda own: own[0])
     other = min((moving.descended(z) for z in (found[1], *moving.begun()[:1])), key=lambda own: own[0])
-    search, best = (moving, other) if other[0] < found[0] - MOVING else (still, found)
+    search, best = (moving, other) if other[0] < found[0] else (still, found)
     return search.process(*best) if np.isfinite(best[0]) else None
 
 
 # ---- what a record shows -----------------------------------------------------------------------------------------------
+
+
+def rivals(best: Process, others: Sequence[Process]) -> list[Process]:
+    """Those of the other forms that may be the true one.
+
+    A form whose numbers stay open is another one with too many of them. One of the other sign, with a drift where the best one
+    begins at rest, takes the answer to the input for the end of that drift.
+    """
+    close = [p for p in others if p.bic < best.bic + TIE and p.fit > best.fit - NEAR]
+    shown = [p for p in close if p.deviation["L"] < OPEN * p.slowest and all(p.deviation[n] < OPEN for n in p.names if n != "L")]
+    return [p for p in shown if p.K * best.K > 0.0 or best.moving or not p.moving]
 
 
 def _check_shown(found: Sequence[Process], data: Sequence[_Data]) -> None:
@@ -363,6 +384,9 @@ def _check_shown(found: Sequence[Process], data: Sequence[_Data]) -> None:
     if not found or still - found[0].bic < SHOWN:
         mend = "a larger step, or a longer record: the output must leave its noise and its drift behind it"
         raise InputError("the output does not follow the input", file=name, mend=mend)
+    if any(p.K * found[0].K < 0.0 for p in rivals(found[0], found[1:])):
+        mend = "a record that begins at rest, or a step back after the first one"
+        raise InputError("the record does not tell whether the output rises or falls with the input", file=name, mend=mend)
     best, length = found[0], max(d.dt * len(d.y) for d in data)
     open_ = [n for n in best.names if n not in ("L", "zeta") and best.deviation[n] > KNOWN]
     if open_ or best.deviation["L"] > KNOWN * (best.L + best.T + best.dt):

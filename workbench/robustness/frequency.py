@@ -47,9 +47,11 @@ class System:
     def at(self, omega: np.ndarray) -> np.ndarray:
         """G (N, ny, nu) at omega (N) [rad/s]."""
         z = np.exp(1j * omega * self.dt) if self.dt else 1j * omega
-        A, B, C = self._balanced
-        x = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B)
-        return C @ x + self.D
+        T, B, C = self._triangular
+        x = np.zeros((len(T), B.shape[1], len(z)), dtype=complex)
+        for i in reversed(range(len(T))):  # of all frequencies at once: n^2 each, where solving from A takes n^3
+            x[i] = (B[i][:, None] + np.tensordot(T[i, i + 1 :], x[i + 1 :], 1)) / (z - T[i, i])
+        return np.moveaxis(np.tensordot(C, x, 1), -1, 0) + self.D
 
     def gain(self, omega: np.ndarray) -> np.ndarray:
         """Largest singular value of G (N)."""
@@ -117,6 +119,17 @@ class System:
             return self.A, self.B, self.C
         A, (size, _) = matrix_balance(self.A, permute=False, separate=True)
         return A, self.B / size[:, None], self.C * size
+
+    @cached_property
+    def _triangular(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A in complex Schur form, with B and C."""
+        from scipy.linalg import schur
+
+        A, B, C = self._balanced
+        if not len(A):
+            return A, B, C
+        T, U = schur(A, output="complex")[:2]
+        return T, U.conj().T @ B, C @ U
 
     @cached_property
     def _in_s(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from workbench.diagnosis.check.records import check
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.parameters import Parameter
-from workbench.physics.plant import Plant
+from workbench.physics.plant import Plant, Start
 from workbench.simulation import Scenario, simulate
 
 WINDING, ROBOT, AXIS = (PLANTS[name] for name in ("web-winding", "welding-robot", "positioning-axis"))
@@ -280,6 +280,44 @@ def test_channels_that_have_changed_places_are_named(winding, a, b):
     reason = refused(WINDING, exchanged(winding, a, b))
     assert f"{a} and {b} look exchanged" in reason.problem
     assert reason.mend == f"swap {a} and {b}"
+
+
+def drifting(seed):
+    """A mass whose place and speed are measured, and a record of one off its data sheet that an unlogged force pulls away."""
+    random = np.random.default_rng(seed)
+    dt, N = 10.0 ** random.uniform(-2.5, -1.0), 1500
+    m, b = 10.0 ** random.uniform(-1.0, 2.0), random.uniform(0.0, 2.0)
+    scale = 10.0 ** random.uniform(0.0, 3.0, 2)
+    time = m / b if b * dt * N > m else dt * N / 10.0
+    mass = Plant(
+        name="mass",
+        states=(Channel("x", "m"), Channel("v", "m/s")),
+        inputs=(Channel("F", "N", "input"),),
+        outputs=(Channel("place", "mm", "output"), Channel("speed", "1/min", random.choice(["output", "other"]))),
+        parameters=(Parameter("m", m, "kg", tolerance=0.1), Parameter("b", b, "N s/m", tolerance=0.5)),
+        equation=lambda x, u, p, at: {"x": x.v, "v": (u.F - p.b * x.v) / p.m},
+        measure=lambda x, p: {"place": scale[0] * x.x, "speed": scale[1] * x.v},
+        dt=dt,
+        start=Start({"x": 0.0, "v": 0.0}),
+        noise={"place": 1e-3 * scale[0], "speed": 1e-3 * scale[1]},
+    )
+    held = max(int(random.uniform(0.02, 0.3) * time / dt), 5)
+    F = m / time * np.repeat(random.choice([-1.0, 1.0], N // held + 1), held)[:N]
+    pull, y, v, x = 0.1 * random.standard_normal() * m / time, np.empty((N, 2)), 0.0, 0.0
+    for k in range(N):
+        y[k] = scale * (x, v)
+        for _ in range(20):
+            v += dt / 20.0 * (F[k] + pull - 1.2 * b * v) / (1.05 * m)
+            x += dt / 20.0 * v
+    y += 0.002 * y.std(axis=0) * random.standard_normal(y.shape)
+    return mass, Experiment("moved", dt * np.arange(N), (*mass.inputs, *mass.outputs), np.column_stack([F, y]), dt)
+
+
+@pytest.mark.parametrize("seed", [9, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(9))])
+def test_places_and_speeds_that_have_changed_places_are_named_where_a_free_run_drifts_away(seed):
+    mass, e = drifting(seed)
+    check(mass, Dataset((e,)))
+    assert refused(mass, exchanged(e, "place", "speed")).mend == "swap place and speed"
 
 
 @pytest.mark.slow

@@ -14,17 +14,27 @@ import numpy as np
 
 from workbench.data import Channel, Experiment
 from workbench.diagnosis.check.channels import driving_inputs
-from workbench.diagnosis.check.free_runs import Compared, free_runs, holds_in_windows
+from workbench.diagnosis.check.free_runs import Compared, forced_runs, free_runs, holds_in_windows
 from workbench.diagnosis.check.guesses import best_guesses, doubt_about, odd_note, unsure_note
 from workbench.diagnosis.check.likeness import likeness
 from workbench.diagnosis.check.note import Note
-from workbench.diagnosis.check.slips import Guess, Slip, in_other_unit, of_other_size, other_units, reversed_sign, slip_error
+from workbench.diagnosis.check.slips import (
+    Guess,
+    Slip,
+    in_other_unit,
+    mended_record,
+    of_other_size,
+    other_units,
+    reversed_sign,
+    slip_error,
+)
 from workbench.diagnosis.check.trials import input_trials
 from workbench.diagnosis.check.unexplained import unexplained_notes
 from workbench.diagnosis.runs import Runner
 from workbench.errors import InputError
 from workbench.physics.plant import Plant
 
+APART, NEAR, CLOSER = 1.0, 0.8, 0.3  # distances of two outputs in the wrong places, in the right ones, and their ratio
 TURNS = 4 * np.pi  # rad: an angle that moves on its own and goes further is in degrees
 
 
@@ -99,17 +109,33 @@ def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) ->
 
 
 def _check_places(plant: Plant, e: Experiment, own: Compared) -> None:
+    """Two outputs that follow each other's simulation, over the whole record or within windows: a ramp runs away from both."""
     d = np.array([[likeness(y, z).distance + _level(y, z) for z in own.z.T] for y in own.y.T])
+    runner = Runner.of(plant, e)
+    windows = forced_runs(plant, e, runner, runner.u)
     for i, j in combinations(range(len(d)), 2):
-        as_is, exchanged = d[i, i] + d[j, j], d[i, j] + d[j, i]
-        if max(d[i, j], d[j, i]) < 0.5 and exchanged < 0.3 * as_is and as_is > 1.0:
-            names = own.channels[i].name, own.channels[j].name
-            said, mend = (
-                f"{' and '.join(names)} look exchanged: each follows the other's simulation",
-                f"swap {' and '.join(names)}",
-            )
-            if holds_in_windows(plant, e, Guess((Slip(names, said, mend, exchanged=True),), 0.0)):
-                raise InputError(said, file=own.file, mend=mend)
+        names = own.channels[i].name, own.channels[j].name
+        said = f"{' and '.join(names)} look exchanged: each follows the other's simulation"
+        guess = Guess((Slip(names, said, f"swap {' and '.join(names)}", exchanged=True),), 0.0)
+        crossed = _exchanged((d[i, i], d[j, j]), (d[i, j], d[j, i])) and holds_in_windows(plant, e, guess)
+        if crossed or _exchanged_in_windows(plant, e, windows, guess):
+            raise InputError(said, file=own.file, mend=guess.slips[0].mend)
+
+
+def _exchanged_in_windows(plant: Plant, e: Experiment, as_is: Compared, guess: Guess) -> bool:
+    names = guess.slips[0].channels
+    own = as_is.distance(names[0]), as_is.distance(names[1])
+    if sum(own) <= APART:
+        return False
+    mended = mended_record(e, guess.slips)
+    runner = Runner.of(plant, mended)
+    better = forced_runs(plant, mended, runner, runner.u)
+    return _exchanged(own, (better.distance(names[0]), better.distance(names[1])))
+
+
+def _exchanged(as_is: tuple[float, float], exchanged: tuple[float, float]) -> bool:
+    """Distances of two outputs from their simulations as they are, far, and the other way round, both near."""
+    return sum(as_is) > APART and max(exchanged) < NEAR and sum(exchanged) < CLOSER * sum(as_is)
 
 
 def _level(y: np.ndarray, z: np.ndarray) -> float:
