@@ -38,7 +38,9 @@ from workbench.robustness.frozen import largest_sensitivity
 AUTOTUNE_FILE, PROCESS_FILE, PID_FILE = "autotune.json", "process.json", "pid.json"
 DRAWS, RIVAL_DRAWS = 60, 30  # processes drawn of the likeliest form, and of every other that may be the true one
 SPARED, ROUNDS, ADDED = 1 / 60, 5, 2  # share of them that may be beyond; designs, and models that each adds
+RESERVE = 0.95  # of |S| - 1, that the design keeps on drawn processes: no process is quite of one of these forms
 KEPT = 1.005  # times the bound that |S| of a drawn process may have
+WEAK = 0.5  # times the integral gain of the calmer law, below which a law found for several processes is a failed search
 CYCLES = 40.0  # of the law in the dead time and the time constant, where none is asked for
 MOST_CYCLES = 200.0  # in the dead time
 WEIGHTS, OVERSHOOT = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0), 0.1  # of the set-point: the largest that overshoots by no more
@@ -90,7 +92,7 @@ def autotune(
     nominal, drawn = best.model(cycle, u, y), [p.model(cycle, u, y, f"drawn {i}") for i, p in enumerate(processes)]
     spans = [max(float(np.ptp(e[c.name])) for e in data) for c in (y, u)]
     size = STEP * spans[0], LOAD * spans[1]
-    options = {"sensitivity": sensitivity, "derivative": derivative, "effort": effort}
+    options = {"sensitivity": 1.0 + RESERVE * (sensitivity - 1.0), "derivative": derivative, "effort": effort}
     law, peaks = _designed(nominal, drawn, options, best, size, progress)
     now = None
     if present is not None:
@@ -140,10 +142,13 @@ def _designed(
             continue
         kept += [drawn[k] for k in beyond[np.argsort(-peaks[1:][beyond])][:ADDED] if drawn[k] not in kept]
         progress(f"designing, {1 + len(kept)} processes")
+        calmer = _calmer(law, process)
         try:
             law, _ = _law(nominal, tuple(kept), options, process, size)
         except InputError:
-            law = _calmer(law, process)
+            law = calmer
+        if abs(law.Ki.sum()) < WEAK * abs(calmer.Ki.sum()):
+            law = calmer
     told = f"no gains keep |S| within {options['sensitivity']:g} on the processes that the record leaves open"
     raise InputError(told, mend="a longer record, or a larger step: it shows the process more exactly")
 

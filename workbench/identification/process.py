@@ -8,9 +8,10 @@
 y = K g(T, zeta, L; u) + what the record began with: an offset, and where it shows the free motion of the process, and of one that
 integrates the drift under the input that it began with. K and these are linear; T, zeta and L are searched (variable projection:
 G. H. Golub and V. Pereyra, SIAM J. Numer. Anal. 10, 1973). The input is held between samples and the dead time is any number of
-them. What is left is taken for autoregressive, and all is counted in its innovations: slow disturbances do not pass for accuracy.
+them. All is counted in the innovations of what is left (`noise_model`): slow disturbances do not pass for accuracy.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,6 +21,7 @@ import numpy as np
 from workbench.basis import CONSTANT
 from workbench.data import Channel, Dataset, Experiment
 from workbench.errors import InputError
+from workbench.identification.noise_model import NoiseModel, fit_noise
 from workbench.lpv import LPVModel, OperatingPoint, constant_model
 from workbench.records import field, record
 
@@ -28,7 +30,7 @@ NUMBERS = {"lag": ("T", "L"), "second-order": ("T", "zeta", "L"), "ramp": ("L",)
 INTEGRATES = ("ramp", "lagged-ramp")
 SHORTEST = 30  # samples
 LONGEST = 20_000  # samples, beyond which a record is brought to fewer
-NOISE, MOST_NOISE, PER_NUMBER = 2, 10, 40  # order of what is left, from so few to so many, one for so many samples
+NOISE = 2  # order of what is left: a process and what wanders, behind the noise of a sensor
 ROUNDS = 3  # how often it is found anew
 WANDERS = 0.0, 0.95  # poles of what is left that a search begins with
 MOVING = 10.0  # BIC that what a record began with must be worth
@@ -38,6 +40,7 @@ BEGUN = 2  # of its points for each of these, from which it descends
 SLOWEST, LATEST = 10.0, 0.5  # of the record's length: the largest time constant and dead time
 FASTEST = 0.2  # samples: the smallest time constant
 NEGLIGIBLE = 1e-3  # samples of dead time that are none
+WANDERING = 0.03  # standard deviation of log K that one record does not show: what wanders more slowly than it lasts
 HELD = 0.29  # samples, standard deviation of when within its sample a command is written down
 SHOWN = 30.0  # BIC that a response to the input must be worth, for the record to show one
 OPEN = 1.0  # relative standard deviation above which a form has more numbers than the record shows
@@ -118,13 +121,17 @@ class Process:
 
 
 def fit_processes(dataset: Dataset, forms: Sequence[str] = FORMS) -> list[Process]:
-    """Processes of one input and one output, of each of `forms`, the likeliest by BIC first.
+    """Processes of one input and one output, of each of `forms`, begun at rest and not, the likeliest by BIC first.
 
     Raises InputError for records of several inputs or outputs, too short ones, and those that do not show the process: an input
     that does not move, an output that does not follow, a gain or times that remain open; each with the experiment that would.
     """
     data = list(_records(dataset))
-    found = sorted((one for form in forms if (one := _fitted(form, data))), key=lambda one: one.bic)
+    longest = SLOWEST * max(d.dt * len(d.y) for d in data)
+    found = sorted((one for form in forms for one in _fitted(form, data)), key=lambda one: one.bic)
+    found = [
+        one for one in found if one.integrates or one.slowest < longest
+    ] or found  # what is slower integrates, as far as it shows
     _check_shown(found, data)
     return found
 
@@ -236,30 +243,31 @@ class _Search:
         }  # fmt: skip
         self.low, self.high = (np.array(end) for end in zip(*(ends[name] for name in self.names), strict=True))
         self.steps = np.array([0.05 * self.dt if name == "L" else 1e-4 for name in self.names])
-        self.order = _order(data)
 
     def values(self, z: np.ndarray) -> list[float]:
         return [float(v if name == "L" else np.exp(v)) for name, v in zip(self.names, z, strict=True)]
 
-    def regression(self, z: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def regression(self, z: np.ndarray, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
         """Columns and output in innovations of `noise`: of one gain, and of every record what it began with."""
         from scipy.linalg import block_diag
-        from scipy.signal import lfilter
 
-        skip = len(noise) - 1
+        skip = len(noise.A) - 1
         columns = [_columns(self.form, d, self.values(z), self.moving) for d in self.data]
-        whitened = [np.asarray(lfilter(noise, [1.0], c, axis=0))[skip:] for c in columns]
+        whitened = [noise.innovations(c)[skip:] for c in columns]
         X = np.column_stack([np.concatenate([c[:, 0] for c in whitened]), np.asarray(block_diag(*(c[:, 1:] for c in whitened)))])
-        return X, np.concatenate([np.asarray(lfilter(noise, [1.0], d.y))[skip:] for d in self.data])
+        return X, np.concatenate([noise.innovations(d.y)[skip:] for d in self.data])
 
-    def solved(self, z: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solved(self, z: np.ndarray, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
         """What the best linear numbers leave, and these."""
         X, y = self.regression(z, noise)
         numbers = np.linalg.lstsq(X, y, rcond=None)[0]
         return y - X @ numbers, numbers
 
-    def begun(self) -> list[np.ndarray]:
-        """The best points of a grid, to descend from: where all is noise of the sensor, and where disturbances wander."""
+    def begun(self) -> list[tuple[np.ndarray, NoiseModel]]:
+        """The best points of a grid, to descend from: where all is noise of the sensor, and where disturbances wander.
+
+        With that noise: what a coarse point leaves of a relay's cycle would pass for noise that swings, and hold it there.
+        """
         axes = {
             "T": np.log(np.geomspace(0.5 * self.dt, self.length, TIMES)),
             "zeta": np.log(DAMPINGS),
@@ -267,33 +275,33 @@ class _Search:
         }
         grid = np.stack(np.meshgrid(*(axes[name] for name in self.names), indexing="ij"), axis=-1).reshape(-1, len(self.low))
         grid = np.clip(grid, self.low, self.high)
-        found: list[np.ndarray] = []
+        found: list[tuple[np.ndarray, NoiseModel]] = []
         for pole in WANDERS:
-            costs = [float(np.sum(self.solved(z, np.array([1.0, -pole]))[0] ** 2)) for z in grid]
-            found += [grid[k] for k in np.argsort(costs)[:BEGUN]]
-        return list({tuple(z): z for z in found}.values())
+            noise = NoiseModel(np.array([1.0, -pole]), np.ones(1))
+            costs = [float(np.sum(self.solved(z, noise)[0] ** 2)) for z in grid]
+            found += [(grid[k], noise) for k in np.argsort(costs)[:BEGUN]]
+        return found
 
-    def descended(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """BIC, what is searched, and the noise, from a point on."""
+    def descended(self, z: np.ndarray, noise: NoiseModel) -> tuple[float, np.ndarray, NoiseModel]:
+        """BIC, what is searched, and the noise, from a point and a noise on."""
         from scipy.optimize import least_squares
 
-        noise = self.noise(z)
         for _ in range(ROUNDS):
             scale = float(np.std(self.solved(z, noise)[0])) or 1.0
 
-            def error(z: np.ndarray, noise: np.ndarray = noise, scale: float = scale) -> np.ndarray:
+            def error(z: np.ndarray, noise: NoiseModel = noise, scale: float = scale) -> np.ndarray:
                 return self.solved(z, noise)[0] / scale
 
             found = least_squares(
                 error, np.clip(z, self.low, self.high), bounds=(self.low, self.high), x_scale="jac", max_nfev=40,
                 jac=lambda z, f=error: self.slopes(f, z),  # type: ignore[arg-type]
             )  # fmt: skip
-            z, noise = found.x, self.noise(found.x)
+            z, noise = found.x, self.noise(found.x, noise)
         left, numbers = self.solved(z, noise)
         variance = float(left @ left) / max(len(left) - len(numbers) - len(z), 1)
         bic = (
             len(left) * np.log(max(variance, 1e-300))
-            + (len(z) + len(numbers) + self.order) * np.log(len(left))
+            + (len(z) + len(numbers) + noise.numbers) * np.log(len(left))
             + MOVING * self.moving
         )
         return (float(bic), z, noise) if np.isfinite(bic) else (np.inf, z, noise)
@@ -307,13 +315,18 @@ class _Search:
             columns.append((of(after) - of(before)) / (after[i] - before[i]))
         return np.column_stack(columns)
 
-    def noise(self, z: np.ndarray) -> np.ndarray:
-        """1 + c1 / z + .., which makes innovations of what the process leaves of the output."""
-        left = self.solved(z, np.ones(1))[0]
-        X, y = _former(np.split(left, np.cumsum([len(d.y) for d in self.data])[:-1]), self.order)
-        return np.concatenate([[1.0], -np.linalg.lstsq(X, y, rcond=None)[0]])
+    def noise(self, z: np.ndarray, before: NoiseModel) -> NoiseModel:
+        """Of what the process leaves of the output, with its linear numbers as a former noise gives them.
 
-    def process(self, bic: float, z: np.ndarray, noise: np.ndarray) -> Process:
+        Least squares of the output itself would give what wanders to the gain and to the drift.
+        """
+        numbers = self.solved(z, before)[1]
+        left = []
+        for d, own in zip(self.data, np.split(numbers[1:], len(self.data)), strict=True):
+            left.append(d.y - _columns(self.form, d, self.values(z), self.moving) @ np.append(numbers[0], own))
+        return fit_noise(left, NOISE)
+
+    def process(self, bic: float, z: np.ndarray, noise: NoiseModel) -> Process:
         """The process with its covariance and the share of the output that a free run explains."""
         X, _ = self.regression(z, noise)
         left, numbers = self.solved(z, noise)
@@ -324,44 +337,42 @@ class _Search:
         size[size == 0.0] = 1.0
         covariance = variance * np.linalg.pinv((J / size).T @ (J / size)) / np.outer(size, size)
         covariance = covariance[: 1 + len(z), : 1 + len(z)]
+        covariance[0, 0] += WANDERING**2
         covariance[-1, -1] += (HELD * self.dt) ** 2  # the last one is L
-        away, all_, rests, at = 0.0, 0.0, [], 1
-        for d in self.data:
-            columns = _columns(self.form, d, self.values(z), self.moving)
-            width = columns.shape[1] - 1
-            run = columns @ np.concatenate([[K], numbers[at : at + width]])
-            away, all_ = away + float(np.sum((d.y - run) ** 2)), all_ + float(np.sum((d.y - d.y.mean()) ** 2))
-            drift = numbers[at + 1] / K if self.moving and self.form in INTEGRATES else 0.0
-            rests.append((d.begun - drift, d.y[0] if self.form in INTEGRATES else numbers[at]))
-            at += width
+        rests = []
+        for d, own in zip(self.data, np.split(numbers[1:], len(self.data)), strict=True):
+            drift = own[1] / K if self.moving and self.form in INTEGRATES else 0.0
+            rests.append((d.begun - drift, d.y[0] if self.form in INTEGRATES else own[0]))
         u0, y0 = np.mean(rests, axis=0)
-        fit = 100.0 * (1.0 - float(np.sqrt(away / all_))) if all_ > 0.0 else 0.0
         own = dict(zip(self.names, self.values(z), strict=True))
         own["L"] = own["L"] if own["L"] > NEGLIGIBLE * self.dt else 0.0
-        return Process(
-            self.form, K, own["L"], own.get("T", 0.0), own.get("zeta", 1.0), float(u0), float(y0), self.dt, covariance, fit, bic,
-            self.moving,
+        found = Process(
+            self.form, K, own["L"], own.get("T", 0.0), own.get("zeta", 1.0), float(u0), float(y0), self.dt, covariance, bic=bic,
+            moving=self.moving,
         )  # fmt: skip
+        away, moves = (
+            sum(float(np.sum(v**2)) for v in each) for each in zip(*(_missed(found, d) for d in self.data), strict=True)
+        )
+        return replace(found, fit=100.0 * (1.0 - math.sqrt(away / moves)) if moves > 0.0 else 0.0)
 
 
-def _order(data: Sequence[_Data]) -> int:
-    """Of what is left."""
-    return min(MOST_NOISE, max(NOISE, sum(len(d.y) for d in data) // PER_NUMBER))
+def _missed(process: Process, d: _Data) -> tuple[np.ndarray, np.ndarray]:
+    """What a free run leaves of the output, and the output around its mean (N)."""
+    return d.y - _run(process, d), d.y - d.y.mean()
 
 
-def _former(series: Sequence[np.ndarray], order: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `order` samples before each sample of every series, the last one first, and these samples."""
-    rows = [np.column_stack([e[order - j : len(e) - j] for j in range(1, order + 1)]) for e in series]
-    return np.concatenate(rows), np.concatenate([e[order:] for e in series])
+def _run(process: Process, d: _Data) -> np.ndarray:
+    columns = _columns(process.form, d, [getattr(process, name) for name in NUMBERS[process.form]], moving=True)
+    driven = process.K * columns[:, 0]
+    return driven + columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], d.y - driven, rcond=None)[0]
 
 
-def _fitted(form: str, data: Sequence[_Data]) -> Process | None:
-    """The likeliest process of a form: at rest where the records begin, unless what they began with shows for sure."""
+def _fitted(form: str, data: Sequence[_Data]) -> list[Process]:
+    """The likeliest process of a form that is at rest where the records begin, and the likeliest that is not."""
     still, moving = _Search(form, data), _Search(form, data, moving=True)
-    found = min((still.descended(z) for z in still.begun()), key=lambda own: own[0])
-    other = min((moving.descended(z) for z in (found[1], *moving.begun()[:1])), key=lambda own: own[0])
-    search, best = (moving, other) if other[0] < found[0] else (still, found)
-    return search.process(*best) if np.isfinite(best[0]) else None
+    rest = min((still.descended(*begun) for begun in still.begun()), key=lambda own: own[0])
+    free = min((moving.descended(*begun) for begun in (rest[1:], *moving.begun())), key=lambda own: own[0])
+    return [search.process(*best) for search, best in ((still, rest), (moving, free)) if np.isfinite(best[0])]
 
 
 # ---- what a record shows -----------------------------------------------------------------------------------------------
@@ -380,7 +391,7 @@ def rivals(best: Process, others: Sequence[Process]) -> list[Process]:
 
 def _check_shown(found: Sequence[Process], data: Sequence[_Data]) -> None:
     name = data[0].name
-    still = _without_input(data, _order(data))
+    still = _without_input(data)
     if not found or still - found[0].bic < SHOWN:
         mend = "a larger step, or a longer record: the output must leave its noise and its drift behind it"
         raise InputError("the output does not follow the input", file=name, mend=mend)
@@ -395,18 +406,15 @@ def _check_shown(found: Sequence[Process], data: Sequence[_Data]) -> None:
         raise InputError(f"{which} stays open: the record shows too little", file=name, mend=mend)
 
 
-def _without_input(data: Sequence[_Data], order: int) -> float:
+def _without_input(data: Sequence[_Data]) -> float:
     """BIC of an output that follows nothing: an offset and noise of the same kind for each record."""
-    X, y = _former([d.y - d.y.mean() for d in data], order)
-    X = np.column_stack([X, np.ones(len(X))])
-    left = y - X @ np.linalg.lstsq(X, y, rcond=None)[0]
+    series = [d.y - d.y.mean() for d in data]
+    noise = fit_noise(series, NOISE)
+    left = np.concatenate([noise.innovations(v)[NOISE:] for v in series])
     variance = float(left @ left) / len(left)
-    return len(left) * float(np.log(max(variance, 1e-300))) + (order + len(data)) * float(np.log(len(left)))
+    return len(left) * float(np.log(max(variance, 1e-300))) + (noise.numbers + len(data)) * float(np.log(len(left)))
 
 
 def free_run(process: Process, e: Experiment) -> np.ndarray:
     """The output (N) along a record, begun as suits it best."""
-    d = _Data.of(e)
-    columns = _columns(process.form, d, [getattr(process, name) for name in NUMBERS[process.form]], moving=True)
-    driven = process.K * columns[:, 0]
-    return driven + columns[:, 1:] @ np.linalg.lstsq(columns[:, 1:], d.y - driven, rcond=None)[0]
+    return _run(process, _Data.of(e))
