@@ -149,7 +149,7 @@ def _designed(
             law = calmer
         if abs(law.Ki.sum()) < WEAK * abs(calmer.Ki.sum()):
             law = calmer
-    told = f"no gains keep |S| within {options['sensitivity']:g} on the processes that the record leaves open"
+    told = "no gains keep |S| within its bound on the processes that the record leaves open"
     raise InputError(told, mend="a longer record, or a larger step: it shows the process more exactly")
 
 

@@ -354,6 +354,16 @@ def test_outputs_that_do_not_follow_the_inputs_are_refused():
     assert "follows none of v" in refused(ROBOT, replace(e, values=values)).problem
 
 
+def test_an_actuator_that_is_always_at_its_limit_is_no_other_machine():
+    """All that moves the output is what nobody logged: the inputs, however large, get through as a constant."""
+    random = np.random.default_rng(6)
+    e = drawn(ROBOT, "prbs")
+    values = e.values.copy()
+    at, moves = e.names.index("v"), np.convolve(random.standard_normal(len(e) + 20), np.ones(21), "valid")
+    values[:, at] = 0.01 * np.std(values[:, at]) * moves / np.std(moves)
+    assert any("at its limit all the time" in note.sentence for note in check(ROBOT, Dataset((replace(e, values=values),))))
+
+
 # ---- records that say nothing ------------------------------------------------------------------------------------------------
 
 

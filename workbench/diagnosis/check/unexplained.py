@@ -17,6 +17,7 @@ from workbench.errors import InputError
 from workbench.physics.plant import Plant
 
 PER_WEIGHT = 5  # samples for each weight of what inputs explain somehow
+IDLE = 0.05  # spread of an output, by that of its simulation, below which nothing of the inputs gets through
 RELATED = 0.05  # share of an output that its inputs explain somehow, above which it is theirs
 PUSHED, PAST, STRIDES = 0.05, 4, (1, 4, 16)  # the same of its errors from its own past; samples of that, blocks of samples
 
@@ -34,6 +35,10 @@ def unexplained_notes(plant: Plant, e: Experiment, own: Compared, runner: Runner
         return
     if max(run.follows for run in whole_runs(plant, e, runner, [trial.u for trial in peaks_of_inputs(plant, e)])) >= ALIKE:
         yield Note(own.file, names, f"follows the peaks of {inputs} only: a dead zone or dry friction may take the rest")
+        return
+    if len(own.y) and all(np.std(own.y[:, i]) < IDLE * np.std(own.z[:, i]) for i in own.counted):
+        said = f"moves less than a {1 / IDLE:g}th of what {plant.name} says: an actuator may be at its limit all the time"
+        yield Note(own.file, names, f"{said}, or cut off")
         return
     within = forced_runs(plant, e, runner, runner.u).follows
     if within >= UNLIKE:
