@@ -67,6 +67,13 @@ def run(options: Namespace, say: Say) -> int:
     return 0
 
 
+def replay_command(file: Path, plant: str, law: str) -> str:
+    """What a user types to run a stored counterexample again; a plant and a law of one's own are named, which no file may do."""
+    kind = file.name.split("-")[0]
+    named = f" {plant}" if kind == "counterexample" and plant not in PLANTS else ""
+    return f"workbench simulate{named} --replay {file}" + f" --controller {law}" * bool(law and kind != "sequence")
+
+
 def _run_sequence(options: Namespace, say: Say) -> int:
     """Parameters of an identified loop, run again; 0 where they give what the file says, else 1."""
     if options.plant is not None:

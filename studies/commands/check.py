@@ -3,6 +3,7 @@
 from argparse import Namespace
 
 from studies.arguments import choose_controller, choose_plant, numbers, run_folder
+from studies.replays import replay_command
 from studies.terminal import progress, say
 from workbench.answers.check import CHECK_FILE, check
 from workbench.errors import InputError
@@ -51,7 +52,9 @@ def run(options: Namespace) -> int:
         write_bytes(options.json, (folder / CHECK_FILE).read_bytes())
     for line in (found.tried, *found.boxes):
         say(str(line))
+    base = chosen.base if chosen else ""
     for verdict in found.verdicts:
-        say(str(verdict) + f"; again: workbench simulate --replay {folder / verdict.witness}" * bool(verdict.witness))
+        again = f"; again: {replay_command(folder / verdict.witness, base, controller.own)}" if verdict.witness else ""
+        say(f"{verdict}{again}")
     say(f"{found.sentences[0].removesuffix('.')}\nreport: {folder / 'report.html'}")
     return 1 if found.status is Status.FAILED else 0

@@ -91,6 +91,8 @@ def test_a_check_searches_the_plant_and_its_counterexample_names_the_law_which_i
     law, folder = f"{laws}:{name}", tmp_path / "checked"
     wanted = ["check", "--controller", law, "--limits", str(tmp_path / "limits.toml"), "--plant", "welding-robot"]
     assert main([*wanted, "--runs", "12", "--out", str(folder)]) == 1
+    said = next(line for line in capsys.readouterr().out.splitlines() if "counterexample-1.json" in line)
+    assert main([*said.split("again: workbench ")[1].split(), "--out", str(tmp_path / "said")]) == 0
     lost = str(folder / "counterexample-1.json")
     assert json.loads((folder / "counterexample-1.json").read_text())["controller"] == {"own": law}
     again = ["simulate", "--replay", lost, "--out", str(tmp_path / "again")]

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from controllers.pid import pid
 from plants import WELDING_ROBOT
 from studies.cli import main
+from studies.replays import replay_command
 from workbench.physics.controller import content_of
 from workbench.readers import read_file
 from workbench.robustness.falsify.box import Dimension, tolerance_box
@@ -122,6 +124,15 @@ def test_a_plant_of_the_users_own_runs_only_where_the_user_names_it(worst, tmp_p
     assert not code.with_suffix(".ran").exists()
     assert main(["simulate", f"{code}:PLANT", "--replay", path, "--out", str(tmp_path / "a")]) == 0
     assert code.with_suffix(".ran").exists()
+
+
+def test_the_command_that_is_told_names_what_the_file_may_not():
+    file = Path("run/counterexample-2.json")
+    assert replay_command(file, "welding-robot", "") == "workbench simulate --replay run/counterexample-2.json"
+    assert replay_command(file, "own.py:AXIS", "law.py:LAW").split()[2:] == [
+        "own.py:AXIS", "--replay", str(file), "--controller", "law.py:LAW",
+    ]  # fmt: skip
+    assert replay_command(Path("sequence-1.json"), "own.py:AXIS", "law.py:LAW") == "workbench simulate --replay sequence-1.json"
 
 
 def test_a_run_that_left_the_range_is_replayed_up_to_there(tmp_path, capsys):

@@ -109,7 +109,8 @@ def sizes(cause: Cause) -> str:
     said = []
     for name, e in cause.parameters.items():
         value, low, high = _told((e.value, e.low, e.high))
-        said.append(f"{name} {value}{_unit(e.unit)} (95 %: {low} to {high})")
+        interval = f"95 %: {low} to {high}" if e.low < e.high else "held, not estimated"
+        said.append(f"{name} {value}{_unit(e.unit)} ({interval})")
     return ", ".join(said)
 
 

@@ -24,7 +24,7 @@ def test_an_interval_is_told_in_the_digits_that_it_takes():
         }
     )
     assert sizes(cause) == (
-        "time 0.012 s (95 %: 0.0119985 to 0.0120016), level 3 N (95 %: 2.4 to 3.6), exact 1.5 V (95 %: 1.5 to 1.5)"
+        "time 0.012 s (95 %: 0.0119985 to 0.0120016), level 3 N (95 %: 2.4 to 3.6), exact 1.5 V (held, not estimated)"
     )
 
 
