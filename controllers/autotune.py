@@ -78,17 +78,15 @@ def autotune(
     found = fit_processes(data, forms)
     best = found[0]
     u, y = _channels(data)
-    own = best.dt * max(1.0, np.floor((best.L + best.slowest / 4.0) / (CYCLES * best.dt)))
-    cycle = cycle or own
+    usual = best.dt * max(1.0, np.floor((best.L + best.slowest / 4.0) / (CYCLES * best.dt)))
+    cycle = cycle or usual
     if MOST_CYCLES * cycle < best.L:
-        raise InputError(
-            f"cycle {cycle:g} s, dead time {best.L:.3g} s", mend=f"leave it out: gains for {own:.3g} s suit a faster one"
-        )
+        mend = f"leave the cycle out: gains for {usual:.3g} s suit a faster controller, too"
+        raise InputError(f"cycle {cycle:g} s of a controller behind a dead time of {best.L:.3g} s", mend=mend)
     random = np.random.default_rng(seed)
-    processes = [
-        *best.drawn(random, DRAWS),
-        *(own for rival in rivals(best, found[1:]) for own in (rival, *rival.drawn(random, RIVAL_DRAWS))),
-    ]
+    processes = best.drawn(random, DRAWS)
+    for rival in rivals(best, found[1:]):
+        processes += [rival, *rival.drawn(random, RIVAL_DRAWS)]
     nominal, drawn = best.model(cycle, u, y), [p.model(cycle, u, y, f"drawn {i}") for i, p in enumerate(processes)]
     spans = [max(float(np.ptp(e[c.name])) for e in data) for c in (y, u)]
     size = STEP * spans[0], LOAD * spans[1]
@@ -285,7 +283,8 @@ class Autotuned(Answer):
             f"weight of the set-point {b:g}, cycle {self.law.dt:.4g} s.",
         ]
         said.append(f"The record shows {told(self.process, self.units)}; a free run explains {self.process.fit:.0f} % of it.")
-        said += [f"It may as well be {NAMES[p.form]}: the gains suit both." for p in rivals(self.process, self.others)]
+        forms = dict.fromkeys(p.form for p in rivals(self.process, self.others) if p.form != self.process.form)
+        said += [f"It may as well be {NAMES[form]}: the gains suit both." for form in forms]
         said.append(
             f"|S| is at most {self.peaks[0]:.3g} on it, and within {self.sensitivity:g} on {100 * self.kept:.0f} % of "
             f"{len(drawn)} processes that the record leaves open (largest {drawn.max():.3g})."
@@ -331,10 +330,19 @@ class Autotuned(Answer):
             "Gains", ("form", "gain", "integral", "derivative"), tuple(rows), caption="Times in s; see the units of the channels."
         )
         forms = tuple(
-            (p.form, p.K, p.T or None, p.zeta if "zeta" in p.names else None, p.L, p.fit, p.bic - self.process.bic)
+            (
+                p.form,
+                "moving" if p.moving else "at rest",
+                p.K,
+                p.T or None,
+                p.zeta if "zeta" in p.names else None,
+                p.L,
+                p.fit,
+                p.bic - self.process.bic,
+            )
             for p in (self.process, *self.others)
         )
-        header = ("form", "K", "T [s]", "zeta", "dead time [s]", "free run [%]", "BIC, worse by")
+        header = ("form", "record begins", "K", "T [s]", "zeta", "dead time [s]", "free run [%]", "BIC, worse by")
         badges = (
             Badge(
                 "Process", self.process.form, f"A free run explains {self.process.fit:.0f} %.", _standing(self.process.fit > 70.0)

@@ -109,7 +109,7 @@ def sizes(cause: Cause) -> str:
     said = []
     for name, e in cause.parameters.items():
         value, low, high = _told((e.value, e.low, e.high))
-        interval = f"95 %: {low} to {high}" if e.low < e.high else "held, not estimated"
+        interval = "held, not estimated" if e.low == e.high else f"95 %: {low} to {high}"
         said.append(f"{name} {value}{_unit(e.unit)} ({interval})")
     return ", ".join(said)
 

@@ -54,11 +54,11 @@ def fit_noise(series: Sequence[np.ndarray], order: int) -> NoiseModel:
 def _begun(series: Sequence[np.ndarray], order: int) -> NoiseModel:
     """From the innovations of a long autoregression, taken for known."""
     long = max(order, min(LONG, min(map(len, series)) // SHARE))
-    rows, y = former(series, long)
+    rows, y = _former(series, long)
     auto = np.concatenate([[1.0], -np.linalg.lstsq(rows, y, rcond=None)[0]])
     e = [np.asarray(lfilter(auto, [1.0], v))[long:] for v in series]
-    past, _ = former(e, order)
-    rows, y = former([v[long:] for v in series], order)
+    past, _ = _former(e, order)
+    rows, y = _former([v[long:] for v in series], order)
     numbers = np.linalg.lstsq(np.column_stack([-rows, past]), y, rcond=None)[0]
     return _shifted(NoiseModel(np.eye(1, order + 1)[0], np.eye(1, order + 1)[0]), numbers, order)
 
@@ -92,7 +92,7 @@ def _cost(at: NoiseModel, series: Sequence[np.ndarray]) -> float:
     return found if np.isfinite(found) else np.inf
 
 
-def former(series: Sequence[np.ndarray], order: int) -> tuple[np.ndarray, np.ndarray]:
+def _former(series: Sequence[np.ndarray], order: int) -> tuple[np.ndarray, np.ndarray]:
     """The `order` samples before each sample of every series, the last one first, and these samples."""
     rows = [np.column_stack([e[order - j : len(e) - j] for j in range(1, order + 1)]) for e in series]
     return np.concatenate(rows), np.concatenate([e[order:] for e in series])

@@ -127,11 +127,9 @@ def fit_processes(dataset: Dataset, forms: Sequence[str] = FORMS) -> list[Proces
     that does not move, an output that does not follow, a gain or times that remain open; each with the experiment that would.
     """
     data = list(_records(dataset))
-    longest = SLOWEST * max(d.dt * len(d.y) for d in data)
     found = sorted((one for form in forms for one in _fitted(form, data)), key=lambda one: one.bic)
-    found = [
-        one for one in found if one.integrates or one.slowest < longest
-    ] or found  # what is slower integrates, as far as it shows
+    longest = SLOWEST * max(d.dt * len(d.y) for d in data)  # what is slower integrates, as far as it shows
+    found = [one for one in found if one.integrates or one.slowest < longest] or found
     _check_shown(found, data)
     return found
 
@@ -299,11 +297,8 @@ class _Search:
             z, noise = found.x, self.noise(found.x, noise)
         left, numbers = self.solved(z, noise)
         variance = float(left @ left) / max(len(left) - len(numbers) - len(z), 1)
-        bic = (
-            len(left) * np.log(max(variance, 1e-300))
-            + (len(z) + len(numbers) + noise.numbers) * np.log(len(left))
-            + MOVING * self.moving
-        )
+        count = len(z) + len(numbers) + noise.numbers
+        bic = len(left) * np.log(max(variance, 1e-300)) + count * np.log(len(left)) + MOVING * self.moving
         return (float(bic), z, noise) if np.isfinite(bic) else (np.inf, z, noise)
 
     def slopes(self, of: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
@@ -340,9 +335,9 @@ class _Search:
         covariance[0, 0] += WANDERING**2
         covariance[-1, -1] += (HELD * self.dt) ** 2  # the last one is L
         rests = []
-        for d, own in zip(self.data, np.split(numbers[1:], len(self.data)), strict=True):
-            drift = own[1] / K if self.moving and self.form in INTEGRATES else 0.0
-            rests.append((d.begun - drift, d.y[0] if self.form in INTEGRATES else own[0]))
+        for d, free in zip(self.data, np.split(numbers[1:], len(self.data)), strict=True):
+            drift = free[1] / K if self.moving and self.form in INTEGRATES else 0.0
+            rests.append((d.begun - drift, d.y[0] if self.form in INTEGRATES else free[0]))
         u0, y0 = np.mean(rests, axis=0)
         own = dict(zip(self.names, self.values(z), strict=True))
         own["L"] = own["L"] if own["L"] > NEGLIGIBLE * self.dt else 0.0
@@ -350,15 +345,9 @@ class _Search:
             self.form, K, own["L"], own.get("T", 0.0), own.get("zeta", 1.0), float(u0), float(y0), self.dt, covariance, bic=bic,
             moving=self.moving,
         )  # fmt: skip
-        away, moves = (
-            sum(float(np.sum(v**2)) for v in each) for each in zip(*(_missed(found, d) for d in self.data), strict=True)
-        )
+        away = sum(float(np.sum((d.y - _run(found, d)) ** 2)) for d in self.data)
+        moves = sum(float(np.sum((d.y - d.y.mean()) ** 2)) for d in self.data)
         return replace(found, fit=100.0 * (1.0 - math.sqrt(away / moves)) if moves > 0.0 else 0.0)
-
-
-def _missed(process: Process, d: _Data) -> tuple[np.ndarray, np.ndarray]:
-    """What a free run leaves of the output, and the output around its mean (N)."""
-    return d.y - _run(process, d), d.y - d.y.mean()
 
 
 def _run(process: Process, d: _Data) -> np.ndarray:

@@ -31,6 +31,7 @@ STILL = 1e-9  # rad (a sample): a pole below is the integral of a law, and no sl
 SPREAD = 24  # frequencies besides those of the poles that a search begins with
 BESIDE = 0.01  # |Re s| / |s| up to which an eigenvalue is looked at: one too many costs nothing
 ROUNDING = 1e-15  # of a level: what keeps it from being a singular value at the highest frequency, to the last digit
+SMALL = 20  # states up to which solving at each frequency is faster than a Schur form
 TOUCHES = 1e-6  # of a level: from which a loop gain that does not cross it touches it
 
 
@@ -47,6 +48,9 @@ class System:
     def at(self, omega: np.ndarray) -> np.ndarray:
         """G (N, ny, nu) at omega (N) [rad/s]."""
         z = np.exp(1j * omega * self.dt) if self.dt else 1j * omega
+        A, B, C = self._balanced
+        if len(A) <= SMALL:
+            return C @ np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B) + self.D
         T, B, C = self._triangular
         x = np.zeros((len(T), B.shape[1], len(z)), dtype=complex)
         for i in reversed(range(len(T))):  # of all frequencies at once: n^2 each, where solving from A takes n^3
@@ -126,8 +130,6 @@ class System:
         from scipy.linalg import schur
 
         A, B, C = self._balanced
-        if not len(A):
-            return A, B, C
         T, U = schur(A, output="complex")[:2]
         return T, U.conj().T @ B, C @ U
 

@@ -15,7 +15,8 @@ from workbench.diagnosis.check.records import check
 from workbench.errors import InputError
 from workbench.physics.controller import Playback
 from workbench.physics.parameters import Parameter
-from workbench.physics.plant import Plant, Start
+from workbench.physics.plant import Plant
+from workbench.physics.rest import Start
 from workbench.simulation import Scenario, simulate
 
 WINDING, ROBOT, AXIS = (PLANTS[name] for name in ("web-winding", "welding-robot", "positioning-axis"))

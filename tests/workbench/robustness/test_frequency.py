@@ -281,3 +281,19 @@ def test_a_closed_loop_has_both_sensitivities():
         np.testing.assert_allclose(So, np.linalg.inv(np.eye(3) + P @ K), rtol=1e-6)
         np.testing.assert_allclose(Q, K @ np.linalg.inv(np.eye(3) + P @ K), rtol=1e-6)
         np.testing.assert_allclose(closed.alone(1).at(np.array([w]))[0, 0, 0], S[1, 1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("n", [0, 3, 60])
+def test_a_response_is_that_of_the_definition(n, dt):
+    """Also of many states, with a delay of 30 samples among them and measurements in units of 1e6 and 1e-6."""
+    random = np.random.default_rng(n)
+    A, B, C, D = (random.standard_normal(shape) for shape in ((n, n), (n, 2), (3, n), (3, 2)))
+    if n > 30:
+        A[30:] = np.eye(n)[29:-1]
+    C *= np.array([1e6, 1.0, 1e-6])[:, None]
+    G = System(A, B, C, D, dt)
+    for omega in (0.01, 1.0, 20.0):
+        z = np.exp(1j * omega * dt) if dt else 1j * omega
+        wanted = C @ np.linalg.inv(z * np.eye(n) - A) @ B + D
+        np.testing.assert_allclose(G.at(np.array([omega]))[0], wanted, rtol=1e-8, atol=1e-12)

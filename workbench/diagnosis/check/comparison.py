@@ -14,20 +14,11 @@ import numpy as np
 
 from workbench.data import Channel, Experiment
 from workbench.diagnosis.check.channels import driving_inputs
-from workbench.diagnosis.check.free_runs import Compared, forced_runs, free_runs, holds_in_windows
+from workbench.diagnosis.check.free_runs import Compared, forced_runs, free_runs, holds_in_windows, mended_runs
 from workbench.diagnosis.check.guesses import best_guesses, doubt_about, odd_note, unsure_note
 from workbench.diagnosis.check.likeness import likeness
 from workbench.diagnosis.check.note import Note
-from workbench.diagnosis.check.slips import (
-    Guess,
-    Slip,
-    in_other_unit,
-    mended_record,
-    of_other_size,
-    other_units,
-    reversed_sign,
-    slip_error,
-)
+from workbench.diagnosis.check.slips import Guess, Slip, in_other_unit, of_other_size, other_units, reversed_sign, slip_error
 from workbench.diagnosis.check.trials import input_trials
 from workbench.diagnosis.check.unexplained import unexplained_notes
 from workbench.diagnosis.runs import Runner
@@ -59,7 +50,7 @@ def comparison_notes(plant: Plant, e: Experiment) -> Iterator[Note]:
         if not guesses:
             yield _lost(plant, e, runner)
         return
-    _check_places(plant, e, own)
+    _check_places(plant, e, own, runner)
     slips = [t.slip for t in trials if t.slip and t.slip.sure and (t.slip.exchanged or t.slip.factor == -1.0)]
     yield from unexplained_notes(plant, e, own, runner, slips)
 
@@ -108,29 +99,24 @@ def _check_limits(plant: Plant, e: Experiment, channels: tuple[Channel, ...]) ->
         )
 
 
-def _check_places(plant: Plant, e: Experiment, own: Compared) -> None:
+def _check_places(plant: Plant, e: Experiment, own: Compared, runner: Runner) -> None:
     """Two outputs that follow each other's simulation, over the whole record or within windows: a ramp runs away from both."""
+    if len(own.channels) < 2:
+        return
     d = np.array([[likeness(y, z).distance + _level(y, z) for z in own.z.T] for y in own.y.T])
-    runner = Runner.of(plant, e)
     windows = forced_runs(plant, e, runner, runner.u)
     for i, j in combinations(range(len(d)), 2):
         names = own.channels[i].name, own.channels[j].name
         said = f"{' and '.join(names)} look exchanged: each follows the other's simulation"
         guess = Guess((Slip(names, said, f"swap {' and '.join(names)}", exchanged=True),), 0.0)
         crossed = _exchanged((d[i, i], d[j, j]), (d[i, j], d[j, i])) and holds_in_windows(plant, e, guess)
-        if crossed or _exchanged_in_windows(plant, e, windows, guess):
+        far = sum(map(windows.distance, names)) > APART
+        if crossed or (far and _exchanged(_distances(windows, names), _distances(mended_runs(plant, e, guess.slips), names))):
             raise InputError(said, file=own.file, mend=guess.slips[0].mend)
 
 
-def _exchanged_in_windows(plant: Plant, e: Experiment, as_is: Compared, guess: Guess) -> bool:
-    names = guess.slips[0].channels
-    own = as_is.distance(names[0]), as_is.distance(names[1])
-    if sum(own) <= APART:
-        return False
-    mended = mended_record(e, guess.slips)
-    runner = Runner.of(plant, mended)
-    better = forced_runs(plant, mended, runner, runner.u)
-    return _exchanged(own, (better.distance(names[0]), better.distance(names[1])))
+def _distances(runs: Compared, names: tuple[str, str]) -> tuple[float, float]:
+    return runs.distance(names[0]), runs.distance(names[1])
 
 
 def _exchanged(as_is: tuple[float, float], exchanged: tuple[float, float]) -> bool:

@@ -85,6 +85,13 @@ def forced_runs(plant: Plant, e: Experiment, runner: Runner, u: np.ndarray) -> C
     return Compared(e.name, tuple(plant.outputs[i] for i in seen), D[:, seen], F[:, seen])
 
 
+def mended_runs(plant: Plant, e: Experiment, slips: Sequence[Slip]) -> Compared:
+    """What the logged inputs do within windows of the record as it would be without these slips."""
+    mended = mended_record(e, slips)
+    runner = Runner.of(plant, mended)
+    return forced_runs(plant, mended, runner, runner.u)
+
+
 def _until_it_leaves(plant: Plant, e: Experiment, run: np.ndarray) -> Compared:
     """The run (N, ny) beside the record, over no samples where it leaves the plant's range too soon to be compared with."""
     seen = [i for i, name in enumerate(plant.output_names) if name in e.names and np.ptp(e[name]) > 0.0]
@@ -99,8 +106,7 @@ def holds_in_windows(plant: Plant, e: Experiment, guess: Guess) -> bool:
 
     So it must follow every output that is mended: a ball that is said to hang a kilometre below its magnet stays there.
     """
-    mended = mended_record(e, guess.slips)
-    as_is, better = (forced_runs(plant, one, runner, runner.u) for one in (e, mended) for runner in [Runner.of(plant, one)])
+    as_is, better = mended_runs(plant, e, ()), mended_runs(plant, e, guess.slips)
     outputs = [c.name for c in better.channels if any(c.name in slip.channels for slip in guess.slips)]
     closer = all(better.distance(name) < as_is.distance(name) for name in outputs)
     return closer and better.away + TOLD < as_is.away

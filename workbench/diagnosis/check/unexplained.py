@@ -6,11 +6,11 @@ import numpy as np
 
 from workbench.data import Experiment
 from workbench.diagnosis.check.channels import driving_inputs, moves_beyond_noise
-from workbench.diagnosis.check.free_runs import Compared, forced_runs, whole_runs
+from workbench.diagnosis.check.free_runs import Compared, forced_runs, mended_runs, whole_runs
 from workbench.diagnosis.check.guesses import BETTER
 from workbench.diagnosis.check.likeness import likeness
 from workbench.diagnosis.check.note import Note
-from workbench.diagnosis.check.slips import Guess, Slip, mended_record, reversed_sign, slip_error
+from workbench.diagnosis.check.slips import Guess, Slip, reversed_sign, slip_error
 from workbench.diagnosis.check.trials import ALIKE, UNLIKE, peaks_of_inputs
 from workbench.diagnosis.runs import Runner
 from workbench.errors import InputError
@@ -40,16 +40,14 @@ def unexplained_notes(plant: Plant, e: Experiment, own: Compared, runner: Runner
         said = f"moves less than a {1 / IDLE:g}th of what {plant.name} says: an actuator may be at its limit all the time"
         yield Note(own.file, names, f"{said}, or cut off")
         return
-    within = forced_runs(plant, e, runner, runner.u).follows
+    windows = forced_runs(plant, e, runner, runner.u)
+    within = windows.follows
     if within >= UNLIKE:
         said = f"{names} follows {plant.name} within short windows (correlation {within:.2f}), not over the whole record"
         yield Note(own.file, names, f"{said}: {runner.told_until(e.t)}")
         return
-    as_is = forced_runs(plant, e, runner, runner.u).away
     for slip in slips:
-        mended = mended_record(e, (slip,))
-        better = Runner.of(plant, mended)
-        if forced_runs(plant, mended, better, better.u).away < BETTER * min(as_is, 1.0):
+        if mended_runs(plant, e, (slip,)).away < BETTER * min(windows.away, 1.0):
             alone = len(plant.commanded) == len(own.channels) == 1  # whatever moves the only output does it alone
             either = [slip, reversed_sign(own.channels)] if alone else [slip]
             raise slip_error(e.name, [Guess((one,), 0.0) for one in either])
