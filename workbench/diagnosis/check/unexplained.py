@@ -36,10 +36,6 @@ def unexplained_notes(plant: Plant, e: Experiment, own: Compared, runner: Runner
     if max(run.follows for run in whole_runs(plant, e, runner, [trial.u for trial in peaks_of_inputs(plant, e)])) >= ALIKE:
         yield Note(own.file, names, f"follows the peaks of {inputs} only: a dead zone or dry friction may take the rest")
         return
-    if len(own.y) and all(np.std(own.y[:, i]) < IDLE * np.std(own.z[:, i]) for i in own.counted):
-        said = f"moves less than a {1 / IDLE:g}th of what {plant.name} says: an actuator may be at its limit all the time"
-        yield Note(own.file, names, f"{said}, or cut off")
-        return
     windows = forced_runs(plant, e, runner, runner.u)
     within = windows.follows
     if within >= UNLIKE:
@@ -63,6 +59,12 @@ def unexplained_notes(plant: Plant, e: Experiment, own: Compared, runner: Runner
     pushed = max(_pushes(u, e[own.channels[i].name]) for i in own.counted)
     if max(share for share in related if share is not None) > RELATED or pushed > PUSHED:
         yield Note(own.file, names, f"{said}; but it moves with {inputs}: another machine, or one of which the plant lacks much")
+        return
+    if len(own.y) and all(np.std(own.y[:, i]) < IDLE * np.std(own.z[:, i]) for i in own.counted):
+        idle = (
+            f"moves less than a {1 / IDLE:g}th of what {plant.name} says: is an actuator cut off, or at its limit all the time?"
+        )
+        yield Note(own.file, names, idle)
         return
     raise InputError(
         said,
